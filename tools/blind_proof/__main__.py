@@ -27,7 +27,8 @@ from galen_hw.tools.blind_proof.generator.plan import plan
 def main() -> int:
     """Run the proof; exit status 1 if a promised figure was missed."""
     args = _arguments()
-    seed, commit = (args.seed, "given by hand") if args.seed is not None else seal.seed_of_commit()
+    own, commit = seal.seed_of_commit()
+    seed = own if args.seed is None else args.seed
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(args.keep or scratch)
         folder.mkdir(parents=True, exist_ok=True)

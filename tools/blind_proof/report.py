@@ -9,7 +9,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from galen_hw.tools.blind_proof import sections, tables
+from galen_hw.tools.blind_proof import seal, sections, tables
 from galen_hw.tools.blind_proof.generator.case import SNR_LEVELS
 from galen_hw.tools.blind_proof.score import Scored
 
@@ -20,6 +20,13 @@ ALIKE = """A lag and a delay do the same to first order. How far a lag is from t
 best of all lags, for one who knows what else is there, is known with the truth; within 3.3 standard errors any answer to
 "which of the two" is a guess.
 """
+
+
+def _origin(seed: int, commit: str) -> str:
+    """Return where the set is from: of the commit's own seed, or of one that was given to compare two engines on one set."""
+    if seed == seal.seed_of(commit):
+        return f"seed {seed} (commit {commit})"
+    return f"seed {seed}, given, so that engines can be compared on one set; answered by commit {commit}"
 
 
 def write(
@@ -43,7 +50,7 @@ def write(
         "# The blind proof\n",
         PREAMBLE,
         ALIKE if any(e.get("apart") is not None for c in cases for e in c.truth["effects"]) else "",
-        f"{_count(len(cases), planned)}, seed {seed} (commit {commit}).\n",
+        f"{_count(len(cases), planned)}, {_origin(seed, commit)}.\n",
         _failures(cases),
         _promises(promised),
         _power(cases, pictures),

@@ -57,4 +57,9 @@ def unseal(text: str, folder: Path, verdicts: list[Path]) -> list[dict[str, Any]
 def seed_of_commit() -> tuple[int, str]:
     """A seed from the commit's hash, so that nobody can tune to the judged set; and the hash."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-    return int(commit[:8], 16), commit
+    return seed_of(commit), commit
+
+
+def seed_of(commit: str) -> int:
+    """Return the seed that a commit's hash gives."""
+    return int(commit[:8], 16)

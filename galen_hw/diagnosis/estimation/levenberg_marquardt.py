@@ -91,7 +91,10 @@ def descended(
     here, cost, A, r = _step_from(bench, given, h, theta)
     damping = first
     for _ in range(steps):
-        further = np.clip(theta + solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0], low, high)
+        step = solve_sym(A + damping * np.diag(np.diag(A)), r[:, None])[:, 0]
+        if damping <= first and float(r @ step) < enough:
+            break
+        further = np.clip(theta + step, low, high)
         paid = cost - _cost(bench, given, h, further)
         if not paid > 0.0:
             damping *= 10.0

@@ -137,11 +137,9 @@ def _gauss_newton_steps(bench: Bench, scorer: Scorer, chosen: list[int], i: int)
 def vuong_statistic(bench: Bench, scorer: Scorer, others: list[int], i: int, j: int) -> float:
     """Return by how many standard errors hypothesis i explains the training blocks better than j, given the others.
 
-    Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other. A
-    likelihood ratio below its own spread is no evidence.
+    A likelihood ratio below its own spread is no evidence: it may be what both miss.
 
     Source: Vuong 1989, the likelihood ratio of models that are not nested, over blocks since rows depend on each other.
-    Beside its own spread a likelihood ratio shows whether it is evidence, or what both miss.
     """
     worse, better = (_best_residual(bench, scorer, others, k) for k in (j, i))
     gain = paired(worse, better, np.zeros(1))

@@ -8,7 +8,7 @@ from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, d
 from galen_hw.diagnosis.estimation.linearisation import as_if, rebase
 from galen_hw.diagnosis.estimation.nonlinear import settle
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.selection.acceptance import held_out_errors, no_worse
+from galen_hw.diagnosis.selection.acceptance import held_out_errors, improves, no_worse
 from galen_hw.diagnosis.selection.search_state import Selection, elsewhere
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
@@ -83,7 +83,7 @@ def _start(bench: Bench, h: Hypothesis) -> Start:
 def _with_tendon(
     bench: Bench, scorer: Scorer, out: Selection, others: list[int], starts: list[Start], most: int
 ) -> list[int]:
-    """Return the others with the best tendon, and with further effects that become significant, best first."""
+    """Return the others with the best tendon, and with further effects as long as each is accepted, best first."""
     rebase(scorer, others)
     while True:
         found = _best(bench, ConditionalGain(bench, scorer, others), starts)
@@ -91,7 +91,7 @@ def _with_tendon(
         trial = [*others, len(scorer.library) - 1]
         settle(bench, scorer, trial)
         best = _most_significant(scorer, out, trial) if most else None
-        if best is None:
+        if best is None or not _is_evidence(out, trial, best):
             return trial
         # The tendon is optimised again given the new effect, which it had partly absorbed.
         others, starts, most = [*trial[:-1], best], [_start(bench, found)], most - 1
@@ -103,6 +103,13 @@ def _most_significant(scorer: Scorer, out: Selection, trial: list[int]) -> int |
     scores = scorer.scores(trial)[0]
     able = [j for j, s in scores.items() if s.surprise > out.needed and s.rank > 0.0 and _is_plain(scorer, j)]
     return max(elsewhere(scorer, trial, able), key=lambda j: scores[j].rank, default=None)
+
+
+def _is_evidence(out: Selection, trial: list[int], i: int) -> bool:
+    """Return whether the likelihood of one more effect is evidence: beside missing physics held-out errors have to say so."""
+    if out.scorer.misfit(trial) < CRITERIA.noise_alone:
+        return True
+    return improves(out, held_out_errors(out, trial), held_out_errors(out, [*trial, i]))
 
 
 def _is_plain(scorer: Scorer, j: int) -> bool:
