@@ -211,7 +211,7 @@ def test_check_looks_through_a_running_daemon(running: Tree) -> None:
 
 
 def test_check_waits_for_every_device_of_a_virtual_robot(tmp_path: Path) -> None:
-    """The tracker too, which is reset first and answers after nine seconds."""
+    """The tracker too, which has just been switched on."""
     command = [sys.executable, "-m", "galen_hw.cli", "check", "--virtual", "--json", "--dir", str(tmp_path)]
     environ = os.environ | {"GALEN_HW_STATE": str(tmp_path / "state")}
     done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
