@@ -82,7 +82,8 @@ def read_document(path: Path) -> tuple[dict[str, Any], Places]:
         text = path.read_text(encoding="utf-8")
         return load_toml(text), Places(path.name, text)
     except FileNotFoundError:
-        raise UsageError("no such file", where=str(path), todo="give the settings with --config FILE") from None
+        todo = "check the path; galen-hw install-service writes /etc/galen-hw/galen.toml"
+        raise UsageError("no such file", where=str(path), todo=todo) from None
     except OSError as error:
         raise UsageError(error.strerror or "cannot be read", where=str(path), todo="check its permissions") from None
     except UnicodeDecodeError:

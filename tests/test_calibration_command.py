@@ -230,6 +230,8 @@ def test_without_a_daemon_it_says_so(capsys):
         (["calibrate"], "which tool?"),
         (["calibrate", "--from", "nowhere", "--yes"], "nowhere"),
         (["calibrate", "--from", "nowhere", "--tool", "A b"], "'A b' cannot be a tool's name"),
+        (["calibrate", "--from", "nowhere", "--robot", "none.urdf"], "none.urdf: no such file"),
+        (["calibrate", "--tool", "pointer", "--sensor-link", "tool0"], "--sensor-link: only of a recording"),
         (["calibrate", "--virtual", "--tool", "../../evil"], "'../../evil' cannot be a tool's name"),
         (["calibrate", "--virtual", "--tool", "pointer", "--report", __file__], "is a file, not a folder"),
         (["collect", "deflection", "--virtual", "-o", __file__], "is a file, not a folder"),

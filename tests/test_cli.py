@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from galen_hw.cli import COMMANDS, _parser, main
-from galen_hw.errors import EXIT_USAGE
-from galen_hw.tools.command import parse_arguments
+from galen_hw.drivers.galil_dmc.settings import GalilSettings
+from galen_hw.errors import EXIT_USAGE, UsageError
+from galen_hw.tools.command import check_units, parse_arguments, units_given
 
 ROOT = Path(__file__).parent.parent
 
@@ -192,6 +193,36 @@ def test_numbers_may_have_a_unit(text: str, value: float | str) -> None:
     """SI where the unit is known; what is no quantity stays a word, and quotes keep a word that looks like one."""
     found = parse_arguments([f"a.b={text}"])["a"]["b"]
     assert found == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("position.roll=5mm", "m is no unit of position.roll; give rad or mrad or deg"),
+        ("position.roll=1kg", "kg is no unit of position.roll"),
+        ("position.carriage1=5deg", "rad is no unit of position.carriage1; give m or cm or mm"),
+        ("velocity.roll=5deg", "rad is no unit of velocity.roll; give rad/s or deg/s"),
+        ("acceleration.roll=5deg/s", "rad/s is no unit of acceleration.roll; give rad/s^2"),
+        ("position.roll=5deg", ""),
+        ("position.roll=0.1", ""),
+        ("settle=5s", ""),
+    ],
+)
+def test_a_joint_takes_its_own_kind_of_unit(word: str, said: str) -> None:
+    """No millimetres for an angle: the number alone would go to the controller, and the arm would move by it."""
+    expected = GalilSettings().units
+    if not said:
+        check_units(units_given([word]), expected)
+        return
+    with pytest.raises(UsageError, match=re.escape(said)):
+        check_units(units_given([word]), expected)
+
+
+def test_a_command_without_arguments_asks_for_none(capsys: pytest.CaptureFixture[str]) -> None:
+    """`KEY=VALUE` may be left out, and is not named as missing."""
+    with pytest.raises(SystemExit):
+        main(["command", "motors"])
+    assert "required: NAME; " in capsys.readouterr().err
 
 
 def test_an_option_takes_its_own_kind_of_unit(capsys: pytest.CaptureFixture[str]) -> None:

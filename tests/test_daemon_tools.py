@@ -210,6 +210,16 @@ def test_check_looks_through_a_running_daemon(running: Tree) -> None:
     assert {"machine/disk", "machine/clock", "tools/selected", "tools/retractor"} <= found.keys()
 
 
+def test_check_waits_for_every_device_of_a_virtual_robot(tmp_path: Path) -> None:
+    """The tracker too, which has just been switched on."""
+    command = [sys.executable, "-m", "galen_hw.cli", "check", "--virtual", "--json", "--dir", str(tmp_path)]
+    environ = os.environ | {"GALEN_HW_STATE": str(tmp_path / "state")}
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
+    (devices,) = (one for one in json.loads(done.stdout)["below"] if one["name"] == "devices")
+    answers = {d["name"]: [f["state"] for f in d["below"] if f["name"] == "answer"] for d in devices["below"]}
+    assert answers == {"ft": ["ok"], "motors": ["ok"], "tracker": ["ok"]}
+
+
 def test_check_names_everything_at_once(tmp_path: Path) -> None:
     """A typing error, a missing port, a silent device, a damaged tool: all in one run; settings decide the status."""
     with daemon_tree(tmp_path) as tree:

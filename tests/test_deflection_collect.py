@@ -1,7 +1,9 @@
 """Collecting: the plan covers what the fit needs, a set that cannot be used is refused with what to do."""
 
 import argparse
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +12,12 @@ from galen_hw.clock import TimeBase
 from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.registration import MarkerWatch
 from galen_hw.kinematics import GalenRobot
-from galen_hw.messages import Quaternion, TrackedPose, Vector3, WrenchRaw
+from galen_hw.messages import Message, Quaternion, TrackedPose, Vector3, WrenchRaw
 from galen_hw.tools.collect import command
 from galen_hw.tools.collect.command import sparkline
 from galen_hw.tools.collect.plan import PLAN, Plan, make_steps
 from galen_hw.tools.collect.rows import Rows
+from galen_hw.tools.collect.session import CollectSession
 
 ROBOT = GalenRobot()
 BASE = TimeBase(0)
@@ -99,6 +102,38 @@ def test_a_set_that_cannot_be_used_says_why_and_what_to_do(spoil: dict[str, int]
     rows.look()
     assert len(rows.spoiled) == bool(words)
     assert words in "".join(rows.spoiled)
+
+
+class Ahead:
+    """A bus of a simulated robot whose clock is an hour ahead: wrenches and poses in turn, as fast as they are taken."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def receive(self, seconds: float) -> tuple[str, Message]:
+        """Return the next one, a millisecond after the last."""
+        self.count += 1
+        t_ns = time.monotonic_ns() + 3_600 * 10**9 if self.count == 1 else self.t_ns + 10**6
+        self.t_ns, head = t_ns, {"timestamp": 0.0, "t_ns": t_ns, "seq": self.count, "valid": True}
+        zero = Vector3(0.0, 0.0, 0.0)
+        if self.count % 2:
+            return "wrench/raw", WrenchRaw(**head, source="ft", force=zero, torque=zero)
+        pose = {
+            "handle": "01",
+            "frame": self.count // 4,
+            "position": zero,
+            "orientation": Quaternion(0.0, 0.0, 0.0, 1.0),
+        }
+        return ("tracker/tool", "tracker/reference")[self.count // 2 % 2], TrackedPose(**head, source="tracker", **pose)
+
+
+def test_a_robot_in_simulated_time_is_listened_to_by_its_own_clock(tmp_path: Path) -> None:
+    """From the first message on: its clock, ahead of this machine's, had ended the first look after one, with no tracker."""
+    bus = Ahead()
+    nobody: Any = None
+    session = CollectSession(plan_in(tmp_path), ROBOT, nobody, bus, nobody, nobody, print, simulated=True)  # type: ignore[arg-type]
+    session._listen(1.0)
+    assert bus.count == pytest.approx(1001, abs=2)
 
 
 def test_a_trace_has_zero_in_the_middle() -> None:

@@ -15,6 +15,7 @@ from galen_hw.diagnosis.findings.quantities import headline, quantity, text
 from galen_hw.diagnosis.report.collect import traces_of
 from galen_hw.diagnosis.report.page import write_page
 from galen_hw.diagnosis.report.plot_data import Curve, Traces
+from galen_hw.diagnosis.report.plots import _binned
 from galen_hw.diagnosis.report.summary import in_one_unit, lines, summary, times_words
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.tools.diagnose_screen import counting, show, table, working
@@ -104,6 +105,40 @@ def test_numbers_are_told_in_units_that_people_read() -> None:
     assert text("wave_number", Value(12.0, 0.0, "rad/rad")) == "30 deg"
     joints = {f"j{k}: coulomb": Value(0.1 * k, 0.01, "N m") for k in (1, 2, 5)}
     assert headline(Finding("friction", [], ["j1", "j2", "j5"], "", joints, {})) == "coulomb 0.1 to 0.5 N m"
+    joints |= {"x: coulomb": Value(12.0, 0.1, "N")}
+    assert headline(Finding("friction", [], ["j1", "x"], "", joints, {})) == "coulomb 0.1 to 0.5 N m, 12.00 ± 0.10 N"
+
+
+def test_a_body_that_goes_with_a_covariate_is_told_beside_what_is_there_all_along() -> None:
+    """Each number with its own unit; of the three moments the two that are known best, not the first two."""
+    body = {
+        "mass": Value(0.4, 2e-4, "kg"),
+        "moment_x": Value(1.584e-3, 2.2e-5, "kg m"),
+        "moment_y": Value(-4.014e-3, 2.4e-5, "kg m"),
+        "moment_z": Value(0.023985, 3.0e-5, "kg m"),
+    }
+    opening = {
+        "2: moment_x": Value(0.012027, 2.8e-5, "kg m a unit of opening"),
+        "2: moment_y": Value(3e-5, 3e-5, "kg m a unit of opening"),
+        "2: moment_z": Value(-3.955e-3, 3.6e-5, "kg m a unit of opening"),
+    }
+    plain = headline(Finding("payload", [], [], "", body, {}))
+    assert plain == "mass 400.00 ± 0.20 g, moment y -4014 ± 24 g mm, moment z 23985 ± 30 g mm"
+    both = headline(Finding("payload", [], [], "", body | opening, {}))
+    assert "moment x 1584 ± 22 g mm, 12027 ± 28 g mm a unit of opening" in both
+    assert "others" not in both
+    assert "moment y" not in both
+
+
+def test_rows_of_one_value_are_one_point_of_a_curve() -> None:
+    """A jaw that is shut half of the time: its bins lie side by side, none upon another."""
+    rng = np.random.default_rng(3)
+    x = np.r_[np.zeros(500), rng.uniform(0.0, 1.0, 400), np.ones(300)]
+    middle, mean, low, high = _binned(x, x + rng.normal(0.0, 0.1, len(x)))
+    assert np.all(np.diff(middle) > 0.0)
+    assert middle[0] == 0.0
+    assert len(middle) == len(mean) == len(low) == len(high) > 5
+    assert abs(mean[0]) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["late", "drifting", "nothing", "poses"])

@@ -84,6 +84,23 @@ def test_an_earlier_session_at_the_final_rate():
     assert not any(text.startswith("COMM") for text in peer.lines)
 
 
+@pytest.mark.parametrize("first", [line("RESET"), b"\xf8\xe1\xe3\xf8\x8f\xff\xf0" + line("OKAY")])
+def test_a_tracker_that_was_just_switched_on_is_asked_again(first):
+    """RESET, or what another rate made of it, in place of INIT's reply: once more at this rate, no break, within a second."""
+    bench = NdiBench()
+    answer, said = bench.peer.answer, []
+
+    def unsettled(wire, now_ns, baud):
+        said.append(wire)
+        return first if len(said) == 1 else answer(wire, now_ns, baud)
+
+    bench.peer.answer = unsettled
+    bench.start(2.0)
+    assert bench.device.ready
+    assert not bench.breaks
+    assert bench.peer.lines[:2] == ["INIT:", "COMM:50000"]
+
+
 def test_a_break_resets_a_tracker_at_another_rate():
     """At 921600 from elsewhere: a break of half a second, RESET, INIT at 9600, COMM."""
     peer = NdiPeer(baud=921600)

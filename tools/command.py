@@ -3,13 +3,14 @@
 import argparse
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 from galen_hw.tools.answer import stamped
-from galen_hw.units import number_in, quantity
+from galen_hw.units import SI, number_in, quantity
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "args",
         metavar="KEY=VALUE",
         nargs="*",
+        default=[],
         help="SI numbers, numbers with a unit (17deg, 5mm), words, or JSON; a.b=1 fills a map",
     )
     parser.add_argument("--json", action="store_true", help="print the reply as JSON")
@@ -41,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
     addresses = Addresses(args.dir or client_runtime_dir())
     addresses.require_daemon()
     with CommandClient(addresses.command) as client:
+        if units := units_given(args.args):
+            check_units(units, client.call("daemon", "info").get("units", {}).get(args.target, {}))
         result = client.call(args.target, args.name, arguments, args.timeout)
     if args.json:
         print(json.dumps(stamped({}) | result))  # the reply's own keys come through, whatever they are called
@@ -70,6 +74,27 @@ def parse_arguments(words: list[str]) -> dict[str, Any]:
             raise UsageError("given twice", where=repr(word), todo="give it once")
         inner[path[-1]] = _value(text)
     return found
+
+
+def units_given(words: list[str]) -> dict[str, tuple[str, str]]:
+    """Return the words that end in a unit: the word and its SI unit, by key."""
+    pairs = [(word, *word.partition("=")[::2]) for word in words]
+    return {key: (word, found[1]) for word, key, text in pairs if (found := quantity(text)) is not None}
+
+
+def check_units(given: Mapping[str, tuple[str, str]], expected: Mapping[str, str]) -> None:
+    """Refuse a unit of another kind: five millimetres for an angle would be taken for 0.005 rad, and the arm would move.
+
+    Args:
+        given: of `units_given`; expected: SI units by key, of the device; a key that it does not name may have any.
+
+    Raises:
+        UsageError: the first such word.
+    """
+    for key, (word, unit) in given.items():
+        if (right := expected.get(key, unit)) != unit:
+            units = [name for name, (si, _) in SI.items() if si == right] or [right]
+            raise UsageError(f"{unit} is no unit of {key}", where=repr(word), todo=f"give {' or '.join(units)}")
 
 
 def _value(text: str) -> Any:

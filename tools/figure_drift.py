@@ -117,7 +117,7 @@ def _draw_run(axes: "Axes", trace: Trace, colour: str, name: str) -> None:
 
 
 def _label(axes: "Axes", drift: Drift) -> None:
-    titles = ("force that the control sees, N", "speed of the tip, mm/s", "way of the tip after it is let go, mm")
+    titles = ("force that the control sees, N", "speed of the tip, mm/s", "travel of the tip after it is let go, mm")
     deadband = AdmittanceSettings().force_deadband
     axes[0].axhline(deadband, color=GREY, lw=0.8, ls="--")
     axes[0].text(END_S, deadband, "dead band", color=GREY, ha="right", va="bottom", fontsize=8.0)

@@ -119,7 +119,8 @@ def show(console: "Console", health: "Health", info: dict[str, Any]) -> None:
     for alarm in health.alarms:
         colour = COLOURS.get(alarm.level, "red")
         since = time.strftime("%H:%M:%S", time.localtime(alarm.since))
-        console.print(f"  [{colour}]{alarm.level} since {since}: {escape(alarm.what)}[/]; {escape(alarm.todo)}")
+        todo = f"; {escape(alarm.todo)}" if alarm.todo else ""
+        console.print(f"  [{colour}]{alarm.level} since {since}: {escape(alarm.what)}[/]{todo}")
     parts = Table(box=None, pad_edge=False, header_style="dim")
     for head in ("source", "state", "detail"):
         parts.add_column(head)

@@ -137,6 +137,12 @@ class GalilSettings(BaseModel):
     limit_active_level: Literal[0, 1] = 0
     write_limits: bool = True
 
+    @property
+    def units(self) -> dict[str, str]:
+        """SI units of a request's numbers, by their key: a joint that turns takes no millimetres."""
+        kinds = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+        return {f"{kind}.{axis.joint}": axis.unit + per for axis in self.axes for kind, per in kinds.items()}
+
     @model_validator(mode="after")
     def _long_enough(self) -> "GalilSettings":
         if 0 < self.watchdog_s < 0.1:

@@ -19,6 +19,7 @@ from galen_hw.drivers.ndi_tracker.scripts import (
     NdiError,
     NdiSetupError,
     NdiSilentError,
+    NdiUnsettledError,
     Pause,
     Script,
     Step,
@@ -57,6 +58,7 @@ class NdiTracker(Device[bytes]):
         self._outbox: list[Output] = []
         self._script: Script | None = None
         self._step: Step | None = None
+        self._unsettled = False
         self._tracking = False
         self._stopped = True
         self._trouble = ""
@@ -90,6 +92,7 @@ class NdiTracker(Device[bytes]):
         out, self._outbox = self._outbox, []
         for reply in self._link.feed(wire, t_ns, _ns(self._settings.quiet_s)):
             if reply.error:
+                self._unsettled = True
                 continue  # the drain that follows ends in a failure
             if self._script is not None:
                 out += self._answer(reply)
@@ -143,6 +146,7 @@ class NdiTracker(Device[bytes]):
 
     def _forget(self) -> None:
         self._link.reset()
+        self._unsettled = False
         self._script = self._step = None
         self._tracking = False
         self._failures = 0
@@ -166,7 +170,9 @@ class NdiTracker(Device[bytes]):
             return []
         self._link.draining = False
         if self._script is not None:
-            return self._advance("" if isinstance(self._step, Pause) else NdiSilentError(), now_ns)
+            silence = NdiUnsettledError() if self._unsettled else NdiSilentError()
+            self._unsettled = False
+            return self._advance("" if isinstance(self._step, Pause) else silence, now_ns)
         return self._fail("no readable reply from the tracker", now_ns) if self._tracking else []
 
     def _steps(self, now_ns: int) -> tuple[list[bytes], list[Output]]:
@@ -193,7 +199,7 @@ class NdiTracker(Device[bytes]):
         if text.startswith("ERROR") and isinstance(self._step, Ask):
             return self._advance(NdiError(self._step.text, _code(text)), reply.t_ns)
         if text == "RESET" and not isinstance(self._step, Hear):
-            return self._advance(NdiSilentError(), reply.t_ns)
+            return self._advance(NdiUnsettledError(), reply.t_ns)
         return self._advance(text, reply.t_ns)
 
     def _advance(self, given: str | Exception, t_ns: int) -> list[Output]:

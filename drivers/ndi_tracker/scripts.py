@@ -30,6 +30,10 @@ class NdiSilentError(Exception):
     """No reply, or none that could be read."""
 
 
+class NdiUnsettledError(NdiSilentError):
+    """RESET, or noise, came in place of the reply: a tracker that was just switched on, perhaps at this very rate."""
+
+
 class NdiSetupError(Exception):
     """The tracker works, but not with what the configuration asks for."""
 
@@ -117,10 +121,15 @@ def _reach(baud_rate: int, init_ns: int, reset_ns: int) -> Generator[Step, str, 
 
 
 def _init(init_ns: int) -> Generator[Step, str, bool]:
-    """Return whether INIT is answered with OKAY; tracking left on by an earlier session is ended first."""
-    for _ in range(2):
+    """Return whether INIT is answered with OKAY.
+
+    Tracking left on by an earlier session is ended first; one that was just switched on is asked once more.
+    """
+    for _ in range(3):
         try:
             return (yield Ask("INIT:", init_ns)) == "OKAY"
+        except NdiUnsettledError:
+            yield Pause(_SWITCH_NS)  # a late OKAY must not be taken for the next reply
         except NdiSilentError:
             return False
         except NdiError:

@@ -14,7 +14,8 @@ from galen_hw.daemon.realtime import sharpen_timers
 from galen_hw.messages import Fault, Message, Status, WrenchRaw
 from galen_hw.waiting import readable
 
-READY_WITHIN_S: Final = 6.0
+READY_WITHIN_S: Final = 12.0
+"""As a tracker needs that was left at another rate: INIT at two rates (2 s each), a break and RESET (5 s), INIT again (2 s)."""
 MEASURE_S: Final = 2.0
 QUIET_TOPICS: Final = ("status", "fault")
 

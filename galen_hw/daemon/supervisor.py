@@ -316,6 +316,7 @@ class Supervisor:
             | ({"viewers": self._viewers.pid} if self._viewers.address else {}),
             "unreadable_frames": self._broker.unreadable,
             "devices": {n: msgspec.to_builtins(s) for n, s in self._device_states().items()},
+            "units": {n: d.settings.units for n, d in self._setup.devices.items() if hasattr(d.settings, "units")},
             "services": list(self._setup.services),
             "topics": list(TOPICS),
         }

@@ -37,7 +37,7 @@ def read_recording(path: Path | str, *, simulation: Path | str | None = None, co
     """
     path = Path(path)
     if not path.exists():
-        raise UsageError("there is no such recording", where=str(path), todo="give a folder or an MCAP file")
+        raise UsageError("there is no such recording", where=str(path), todo="check the path")
     if path.is_file() and path.suffix not in (".csv", ".parquet", ".json"):
         from galen_hw.recording.from_mcap import read_mcap
 

@@ -118,7 +118,8 @@ class HealthService(Service):
                 continue
             header = self._header("fault", now_ns)
             outputs.append(("fault", Fault(**header, valid=True, what=alarm.what, where=self.name, todo=alarm.todo)))
-        detail = f"{len(self._alarms.all())} alarms" if self._alarms.all() else "no alarm"
+        count = len(self._alarms.all())
+        detail = f"{count} alarm{'s' if count > 1 else ''}" if count else "no alarm"
         outputs.append(("status", Status(**self._header("status", now_ns), valid=True, state="ready", detail=detail)))
         self._samples = self._lost = self._valid = 0
         return outputs

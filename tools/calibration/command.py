@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from galen_hw.errors import EXIT_FOUND, EXIT_OK, EXIT_REFUSED, GalenError, UsageError
+from galen_hw.tools.robot_given import add_robot, keys_given, robot_given
 from galen_hw.tools.run import add_speed, require_virtual
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from", dest="recording", metavar="RECORDING", type=Path, help="fit a recording, move nothing"
     )
+    add_robot(parser)
     parser.add_argument("--yes", action="store_true", help="accept without asking (scripts)")
     parser.add_argument(
         "--no-repair", action="store_true", help="with --from: refuse what would be put right: units, axes, clocks"
@@ -72,6 +74,13 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     """What is wrong with the words themselves, before anything is read, started or moved."""
     require_virtual(args)
+    for option, given in (
+        ("--robot", args.robot),
+        ("--xacro-arg", args.xacro_arg),
+        ("--sensor-link", args.sensor_link),
+    ):
+        if given and args.recording is None:
+            raise UsageError("only of a recording", where=option, todo="add --from RECORDING")
     from galen_hw.config.tool_store import check_name
     from galen_hw.extras import need
     from galen_hw.tools.outputs import report_page
@@ -91,7 +100,7 @@ def _from_recording(args: argparse.Namespace, console: "Console") -> int:
     from galen_hw.tools.calibration.recorded import calibrate_recording
 
     store = ToolStore(state_dir())
-    recording = read(args.recording)
+    recording = read(args.recording, robot=robot_given(args), info=keys_given(args))
     found = calibrate_recording(recording, store, args.tool, repair=not args.no_repair)
     return _conclude(_Session(args, console, store), found.result, found.tool, found.premises)
 

@@ -101,7 +101,7 @@ def live_figure(check: LiveCheck, name: str) -> "Figure":
     step = max(1, len(check.time) // 6000)
     few = slice(None, None, step)
     figure = _before_after(
-        check.time[few], check.raw[few], check.compensated[few], check.noise, dots=False, xlabel="time, s"
+        check.time[few], check.raw[few], check.compensated[few], check.noise, "a sample", dots=False, xlabel="time, s"
     )
     ratio = check.rms / check.noise
     figure.suptitle(f"{name}: every sample in holds and slow motion; RMS at most {ratio.max():.3f} × the noise floor")
@@ -114,13 +114,19 @@ def verification_figure(result: Result) -> "Figure":
     order = np.arange(1, len(check.after) + 1, dtype=float)
     xlabel = "held-out pose" if check.kind.startswith("held") else "pose, predicted from all others"
     expected = np.where(np.isfinite(check.expected), check.expected, np.nan)
-    figure = _before_after(order, check.before, check.after, expected, dots=True, xlabel=xlabel)
+    figure = _before_after(order, check.before, check.after, expected, "a pose's mean", dots=True, xlabel=xlabel)
     figure.suptitle(f"{result.name}: before and after compensation, {check.kind}")
     return figure
 
 
-def _before_after(time: Array, before: Array, after: Array, sigma: Array, *, dots: bool, xlabel: str) -> "Figure":
-    """Six channels, each above at the raw reading's scale and below at the noise's."""
+def _before_after(
+    time: Array, before: Array, after: Array, sigma: Array, whose: str, *, dots: bool, xlabel: str
+) -> "Figure":
+    """Six channels, each above at the raw reading's scale and below at the noise's.
+
+    Args:
+        sigma: (6,) of the noise; whose: what has it, a sample or the mean of a pose.
+    """
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(
@@ -134,7 +140,9 @@ def _before_after(time: Array, before: Array, after: Array, sigma: Array, *, dot
         top.plot(time, y1, color=DONE, label="compensated", **style)
         top.set_title(f"{channel}, {unit(channel)}", loc="left")
         if np.isfinite(s):
-            zoom.axhspan(-2 * s, 2 * s, color=BAND, alpha=0.45, lw=0, label="2 sigma of the sensor's noise")
+            zoom.axhspan(
+                -2 * s, 2 * s, color=BAND, alpha=0.45, lw=0, label=f"2 sigma of {whose} (lower panels: enlarged)"
+            )
         zoom.plot(time, y1, color=DONE, **(style | {"linewidth": 0.5}))
         reach = 1.15 * max(float(np.abs(y1).max()), 2.2 * s if np.isfinite(s) else 0.0)
         zoom.set_ylim(-reach, reach)

@@ -118,18 +118,29 @@ class CollectSession:
 
     def _listen(self, seconds: float, text: str = "") -> None:
         """Take messages for so long."""
+        if self.simulated and not self._newest_ns:
+            self._hear(
+                SILENT_S
+            )  # a simulated robot's clock runs ahead of this one's, and is known by its messages alone
         until = self._now_s() + seconds
         shown, heard = 0.0, time.monotonic()
         while (left := until - self._now_s()) > 0.0 and time.monotonic() - heard < max(seconds, SILENT_S):
-            received = self.subscriber.receive(min(left, SHOW_S))
-            if received is not None:
-                heard, self._newest_ns = time.monotonic(), max(self._newest_ns, received[1].t_ns)
-                self.rows.take(*received)
-                if self._tape is not None:
-                    self._tape.add(*received, round(self._now_s() * NS_PER_S) + self._base.wall_minus_monotonic_ns)
+            if self._hear(min(left, SHOW_S)):
+                heard = time.monotonic()
             if time.monotonic() - shown > SHOW_S:
                 shown = time.monotonic()
                 self._look(text)
+
+    def _hear(self, seconds: float) -> bool:
+        """Take the next message, if one comes in time."""
+        received = self.subscriber.receive(seconds)
+        if received is None:
+            return False
+        self._newest_ns = max(self._newest_ns, received[1].t_ns)
+        self.rows.take(*received)
+        if self._tape is not None:
+            self._tape.add(*received, round(self._now_s() * NS_PER_S) + self._base.wall_minus_monotonic_ns)
+        return True
 
     def _now_s(self) -> float:
         """Time of the robot: monotonic, s."""

@@ -2,11 +2,12 @@
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 from galen_hw.diagnosis.result import Finding, Value
+from galen_hw.physics.effects.parameters import IN_PROPORTION
 from galen_hw.physics.effects.registry import effect_class
 
 SIGNAL: Final = "rms_signal"
@@ -44,6 +45,10 @@ def _order(x: float) -> int:
 
 def readable(value: float, std: float, unit: str, name: str = "") -> Shown:
     """Return an SI quantity in a unit that people read: mm, mrad or deg, ms, g, N mm, per cent."""
+    base, proportion, what = unit.partition(IN_PROPORTION)
+    if proportion:
+        inner = readable(value, std, base, name)
+        return replace(inner, unit=f"{inner.unit}{proportion}{what}".strip())
     if name in PERCENT and unit == "1":
         return Shown(100.0 * value, 100.0 * std, "%")
     size = max(abs(value), std) if math.isfinite(std) else abs(value)
@@ -77,13 +82,10 @@ def headline(finding: Finding, *, most: int = 3) -> str:
     """Return the size of a finding in a few words: up to three parameters, ranges over joints or channels.
 
     Args:
-        most: parameters that are named.
+        most: parameters that are named; of more that are alike (the moments of a body) the best known.
     """
     parts, kind = _by_name(finding.parameters), effect_class(finding.effect)
-    named = [name for pattern in kind.HEAD for name in parts if re.fullmatch(pattern, name)]
-    named = list(dict.fromkeys(named))
-    named = [n for n in named if any(_sure(v) for v in parts[n])] or named
-    words = [_range(name, parts[name]) for name in named[:most]]
+    words = [_range(name, parts[name]) for name in _named(parts, kind.HEAD, most)]
     if MOMENT in parts and not kind.EPISODIC:
         words.append(f"from {text(MOMENT, parts[MOMENT][0])} on")
     if kind.RMS_TOLD or not words:
@@ -94,6 +96,23 @@ def headline(finding: Finding, *, most: int = 3) -> str:
 def _sure(value: Value) -> bool:
     """Return whether it differs from zero at all."""
     return abs(value.value) > 2.0 * value.std
+
+
+def _named(parts: Mapping[str, list[Value]], patterns: Sequence[str], most: int) -> list[str]:
+    """Return the names that fit the patterns, in their order: those that differ from zero, if any do."""
+    fitting = [[name for name in parts if re.fullmatch(pattern, name)] for pattern in patterns]
+    sure = {name for names in fitting for name in names if any(_sure(v) for v in parts[name])}
+    named: list[str] = []
+    for names in fitting:
+        asked = [name for name in names if name not in named and (name in sure or not sure)]
+        best = sorted(asked, key=lambda name: -max(_clearness(v) for v in parts[name]))[: most - len(named)]
+        named += [name for name in asked if name in best]
+    return named
+
+
+def _clearness(value: Value) -> float:
+    """Return how many standard deviations it is from zero."""
+    return abs(value.value) / value.std if value.std > 0.0 else math.inf
 
 
 def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
@@ -110,11 +129,20 @@ def _by_name(parameters: Mapping[str, Value]) -> dict[str, list[Value]]:
 
 
 def _range(name: str, values: list[Value]) -> str:
+    """Return a parameter's range, one for each unit: a force and a torque, a number and what it gains with a covariate."""
     label = {"wave_number": "period"}.get(name, name.replace("_", " "))
+    alike: dict[str, list[Value]] = {}
+    for value in values:
+        alike.setdefault(value.unit, []).append(value)
+    told = [group for group in alike.values() if any(_sure(v) for v in group)] or list(alike.values())
+    return f"{label} {', '.join(_spread(name, group) for group in told)}"
+
+
+def _spread(name: str, values: list[Value]) -> str:
     if len(values) == 1:
-        return f"{label} {text(name, values[0])}"
-    shown = [readable(v.value, v.std, v.unit, name) for v in values]
+        return text(name, values[0])
+    shown = [readable(v.value, v.std, v.unit, name) for v in sorted(values, key=lambda v: v.value)]
     if len({one.unit for one in shown}) > 1:
-        return f"{label} {text(name, values[0])} and others"
+        return f"{shown[0].value:.3g} {shown[0].unit} to {shown[-1].value:.3g} {shown[-1].unit}"
     low, high = (f"{pick(one.value for one in shown):.3g}" for pick in (min, max))
-    return f"{label} {low if low == high else f'{low} to {high}'} {shown[0].unit}".strip()
+    return f"{low if low == high else f'{low} to {high}'} {shown[0].unit}".strip()

@@ -114,6 +114,7 @@ def bars(answer: Mapping[str, Any]) -> bytes:
         most = float(np.nanmax(ratio["rmse_before"]))
         if most > 12.0:
             ax.set_xscale("log")
+            ax.xaxis.set_major_formatter("{x:g}")
             ax.set_xlim(min(0.8, 0.9 * float(np.nanmin(ratio["rmse_after"]))), 1.2 * most)
         else:
             ax.set_xlim(0.0, 1.08 * max(most, 1.2))
@@ -271,8 +272,11 @@ def _binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array, Ar
     """Return the median of x, and mean and middle two thirds of y, in bins of equal count along x."""
     good = np.isfinite(x) & np.isfinite(y)
     order = np.argsort(x[good], kind="stable")
-    parts = [p for p in np.array_split(order, min(bins, max(int(good.sum()) // 4, 1))) if len(p)]
     xs, ys = x[good], y[good]
+    cuts = np.cumsum([len(p) for p in np.array_split(order, min(bins, max(len(xs) // 4, 1)))])[:-1]
+    # Rows of the same x are one bin, however many they are: a jaw that is mostly shut is one point of the curve.
+    cuts = np.unique(np.searchsorted(xs[order], xs[order][cuts]))
+    parts = [p for p in np.split(order, cuts) if len(p)]
     spread = np.array([np.quantile(ys[p], [1.0 / 6.0, 5.0 / 6.0]) for p in parts]).reshape(-1, 2)
     middle = np.array([np.median(xs[p]) for p in parts])
     return middle, np.array([np.mean(ys[p]) for p in parts]), spread[:, 0], spread[:, 1]

@@ -10,7 +10,7 @@ from galen_hw.physics.channels import joint_of
 from galen_hw.physics.covariates import covariates
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns, in_all, in_channel
-from galen_hw.physics.effects.parameters import Parameter
+from galen_hw.physics.effects.parameters import IN_PROPORTION, Parameter
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.joint import EffortScene
 from galen_hw.spatial import Array, rotation_exp
@@ -100,7 +100,7 @@ class Payload(Effect):
     def remark(self) -> str:
         """A sentence on when it changed."""
         if self.by:
-            return f"It goes with {self.by}: its numbers are per unit of that."
+            return f"What is told a unit of {self.by.removeprefix('covariate.')} goes in proportion to {self.by}."
         return "" if self.since is None else f"It is so from {self.since:.4g} s on."
 
     def told_by(self, theta: Array, *, farthest: float = 0.5) -> Self | None:
@@ -123,7 +123,7 @@ class Payload(Effect):
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Return the changes of mass, first moment and inertia."""
-        a_unit = f" a unit of {self.by.removeprefix('covariate.')}" if self.by else ""
+        a_unit = f"{IN_PROPORTION}{self.by.removeprefix('covariate.')}" if self.by else ""
         mass, moments = [Parameter("mass", f"kg{a_unit}")], [Parameter(name, f"kg m{a_unit}") for name in MOMENTS]
         inertia = [Parameter(name, "kg m^2") for name in INERTIA]
         body = mass + moments

@@ -6,6 +6,8 @@ import numpy as np
 
 from galen_hw.physics.scenes.base import Scene
 
+IN_PROPORTION = " a unit of "
+"""What stands in a unit between SI and the name of a covariate, where a number is so much for each unit of that."""
 FARTHEST_SCALE = 0.5
 """Relative error of a scale, or leak into a channel of the same unit, beyond which no sensor or encoder is in service: a unit or
 an axis is mixed up instead, or other physics is missing."""
