@@ -74,6 +74,15 @@ class UrdfRobot(UrdfChain):
         other.model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
         return other
 
+    def without(self, mass: float, com: ArrayLike, inertia: ArrayLike) -> Self:
+        """The same robot less a body that it carries, see `carrying`: inertial parameters add up."""
+        other, frame = self._of(pin.Model(self.model)), self.model.frames[self._sensor]
+        body = pin.Inertia(float(mass), np.asarray(com, dtype=float), np.asarray(inertia, dtype=float))
+        whole = other.model.inertias[frame.parentJoint].toDynamicParameters()
+        rest = whole - frame.placement.act(body).toDynamicParameters()
+        other.model.inertias[frame.parentJoint] = pin.Inertia.FromDynamicParameters(rest)
+        return other
+
     def link_body(self, link: str) -> tuple[float, Array, Array]:
         """Mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, of a link, in its own axes.
 

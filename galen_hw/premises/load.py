@@ -11,6 +11,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.rigid import Body
 from galen_hw.premises.base import Action, Claim, Remark, Stage, with_matrix
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.efforts import Efforts
 from galen_hw.premises.wrench_reading import FORCE, TORQUE, at_rest, comparable
 from galen_hw.spatial import Array
 
@@ -40,28 +41,57 @@ class _ChangePoint:
 
 
 class ToolTwice:
-    """Tests whether the named tool is a link of the robot's model beyond the sensor as well, and hangs there once."""
+    """Tests whether the named tool is named a second time: as a link of the model, or as what hung on a zeroed sensor."""
 
     KEY: ClassVar[str] = "tool_twice"
     STAGE: ClassVar[Stage] = Stage.LOAD
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield at most one remark, where bodies alike are named twice and the wrench holds one of them."""
-        tool, belief = seen.belief.tool, seen.belief
-        twins = [k for k, body in enumerate(belief.distal) if _alike(body, tool)]
-        if seen.predict != "wrench" or seen.simulation is not None or tool.mass <= 0.0 or not twins:
+        """Yield at most one remark, where one body is named twice and the readings hold it once."""
+        if seen.simulation is not None or seen.belief.tool.mass <= 0.0:
             return
-        once = replace(
-            seen, belief=replace(belief, distal=tuple(b for k, b in enumerate(belief.distal) if k != twins[0]))
-        )
-        left = [_misfit(comparable(one)) for one in (once, seen)]
+        if seen.predict == "effort":
+            yield from self._in_efforts(seen)
+        if seen.predict != "wrench":
+            return
+        for what, once in _once(seen):
+            left = [_misfit(comparable(one)) for one in (once, seen)]
+            if left[0] <= CRITERIA.gross_gain * left[1]:
+                yield Remark(self.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, once)
+                return
+
+    def _in_efforts(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a remark where efforts hold nothing of the tool: which link of a merged URDF holds it cannot be told."""
+        efforts, tool = Efforts.of(seen), seen.belief.tool
+        if efforts is None:
+            return
+        robot = efforts.robot.without(tool.mass, tool.com, tool.inertia)
+        bare = replace(seen, belief=replace(seen.belief, tool=Body(), robot=robot))
+        without = Efforts.of(bare)
+        if without is None:
+            return
+        left = [one.unexplained(one.scene.simulated) for one in (without, efforts)]
         if left[0] > CRITERIA.gross_gain * left[1]:
             return
         what = (
-            f"the tool and a link of the model beyond the sensor are one body of {tool.mass:.4g} kg, "
-            "which the wrench holds once: counted once"
+            f"the efforts hold nothing of the named tool of {tool.mass:.4g} kg: the robot's model bears it already, in a link, "
+            "or it is not on the arm; taken off"
         )
-        yield Remark(self.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, once)
+        yield Remark(self.KEY, what, "name it in one place only", efforts.scene.channels, Action.REPAIRED, bare)
+
+
+def _once(seen: Observations) -> Iterator[tuple[str, Observations]]:
+    """Yield what is said, and a wrench's recording with the tool once, for each second name of it."""
+    tool, belief = seen.belief.tool, seen.belief
+    twin = next((k for k, body in enumerate(belief.distal) if _alike(body, tool)), None)
+    if twin is not None:
+        what = f"the tool and a link of the model beyond the sensor are one body of {tool.mass:.4g} kg, "
+        what += "which the wrench holds once: counted once"
+        others = tuple(body for k, body in enumerate(belief.distal) if k != twin)
+        yield what, replace(seen, belief=replace(belief, distal=others))
+    if belief.bias_body is not None and _alike(belief.bias_body, tool):
+        what = f"what hung on the sensor when it was zeroed (bias_body) is the tool itself, {tool.mass:.4g} kg: counted once"
+        yield what, replace(seen, belief=replace(belief, tool=Body(), bias_body=tool))
 
 
 def _alike(body: Body, tool: Body) -> bool:

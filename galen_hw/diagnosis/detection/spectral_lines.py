@@ -106,25 +106,42 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
 
 
 def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
-    """Return for every joint effort the wave number at which a sine of the joint's position fits best.
+    """Return for every joint's own channel the wave number at which a sine of the joint's position fits best.
 
     A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (most of all for a
-    standing arm, whose joints move by a few steps).
+    standing arm, whose joints move by a few steps). It is longer than two rows of a joint that moves, too.
     """
-    if scene.observations.predict != "effort":
+    if scene.observations.predict not in TorqueRipple.PREDICTS:
         return []
     out = []
     for c, name in enumerate(scene.channels):
         joint = joint_of(name)
         if joint not in scene.moved:
             continue
-        q = rows.average(scene.q[:, scene.joint_index(joint)])
-        reach = float(np.ptp(q))
-        numbers = np.arange(2.5, 160.0, 0.4) * 2.0 * np.pi / reach / 2.0
-        numbers = numbers[numbers * quantisation(scene.q[:, [scene.joint_index(joint)]])[0] < np.pi]
-        if not len(numbers):
-            continue
-        r = residual[:, c] - residual[:, c].mean()
-        power = np.array([np.abs(np.mean(r * np.exp(-1j * k * q))) ** 2 for k in numbers])
-        out.append(Sought(TorqueRipple(joint, float(numbers[int(np.argmax(power))])), len(numbers)))
+        position = scene.q[:, scene.joint_index(joint)]
+        q = rows.average(position)
+        steps = np.concatenate([np.abs(np.diff(q[run])) for run in rows.runs])
+        coarsest = max(quantisation(position[:, None])[0], float(np.quantile(steps[steps > 0.0], 0.9, method="higher")))
+        highest = np.pi / max(coarsest, float(np.ptp(q)) / len(q))
+        numbers, power = _spectrum_over(q, residual[:, c] - residual[:, c].mean(), highest)
+        if len(numbers):
+            best = float(numbers[int(np.argmax(power))])
+            out.append(Sought(TorqueRipple(joint, best, scene.observations.predict), len(numbers)))
     return out
+
+
+def _spectrum_over(q: Array, r: Array, highest: float, *, fewest: float = 1.25, parts: int = 5) -> tuple[Array, Array]:
+    """Return wave numbers (K,) and the power (K,) of r (M,) as a function of q (M,), by a transform over fine bins of q.
+
+    Args:
+        fewest: periods within the reach of q; parts: of a period over the reach, by which two wave numbers differ.
+    """
+    reach = float(np.ptp(q))
+    bins = int(2.0 * highest * reach) + 1
+    binned = np.bincount(
+        np.minimum(((q - q.min()) / reach * bins).astype(np.intp), bins - 1), weights=r, minlength=bins
+    )
+    power = np.abs(np.fft.rfft(binned, parts * bins)) ** 2
+    numbers = 2.0 * np.pi / reach * np.arange(len(power)) / parts
+    asked = (numbers >= fewest * 2.0 * np.pi / reach) & (numbers < highest)
+    return numbers[asked], power[asked]

@@ -1,6 +1,7 @@
 """Findings from a fitted model: one per kind of effect, with all its channels, joints and parameters."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -44,13 +45,14 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
     free = _free(model)
+    prefixes = _prefixes(parts)
     for n, h in enumerate(parts):
         s = model.slice_of(h)
         signal[:, list(h.raw.channels)] += h.contribution(model.final[s])
         variance[list(h.raw.channels)] += _rms_variance(
             h, model.final[s], model.parameter_errors.covariance[s, s], free
         )
-        parameters |= _parameters(model, h, s, prefix=_prefix(h) if len(parts) > 1 else "", number=n)
+        parameters |= _parameters(model, h, s, prefix=prefixes[n], number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2
     channels = [bench.scene.channels[c] for c in np.argsort(-energy) if energy[c] > 0.02 * energy.max()]
@@ -100,11 +102,21 @@ def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -
     return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
 
 
-def _prefix(h: Hypothesis) -> str:
+def _prefixes(parts: Sequence[Hypothesis]) -> list[str]:
+    """Return what stands before the parameters of each part: its place, with a number from the second at one place on."""
+    if len(parts) < 2:
+        return ["" for _ in parts]
+    met, out = Counter[str](), list[str]()
+    for h in parts:
+        place = _place(h)
+        met[place] += 1
+        out.append("" if not place else f"{place}: " if met[place] == 1 else f"{place} {met[place]}: ")
+    return out
+
+
+def _place(h: Hypothesis) -> str:
     place = getattr(h.effect, "channel", "") or getattr(h.effect, "joint", "")
-    if h.effect is not None and h.effect.side:
-        place += f" {h.effect.side}"
-    return f"{place}: " if place else ""
+    return f"{place} {h.effect.side}" if h.effect is not None and h.effect.side else str(place)
 
 
 def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int) -> dict[str, Value]:

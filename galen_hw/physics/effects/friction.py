@@ -332,11 +332,15 @@ def _place(scene: Scene, joint: str) -> int:
 class TorqueRipple(Effect):
     """A force periodic in joint position: r = a sin(n q) + b cos(n q), n cycles times 2 pi per rad or m.
 
-    Visible over several periods. Confused with vibration at constant speed and, for small n, with cable_drag.
+    Of a joint's position the error of a gear or an encoder: the wave generator of a harmonic drive twice in each turn of the
+    motor, an eccentric disk once in its own. Visible over several periods. Confused with vibration at constant speed and, for
+    small n, with cable_drag.
     """
 
+    PREDICTS: ClassVar = frozenset({"effort", "position"})
+
     KEY = "torque_ripple"
-    SAYS = "a force periodic in the joint's position"
+    SAYS = "a force, or an error of a reading, periodic in the joint's position"
     KNOWN_BY = "it repeats with the joint's position, at any speed"
     HEAD = ("wave_number",)
     RMS_TOLD = True
@@ -345,11 +349,21 @@ class TorqueRipple(Effect):
     SEARCHED: ClassVar = {"wave_number": Searched(0.1, 1e5, "rad/rad or rad/m")}
     joint: str
     wave_number: float
+    of: str = "effort"
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
         """Yield nothing on a fixed grid: the wave number is sought in the residual."""
         return iter(())
+
+    @property
+    def remark(self) -> str:
+        """A sentence on what it is of a position."""
+        return (
+            ""
+            if self.of == "effort"
+            else "Of a position it is the error of a gear or an encoder, the same in each turn."
+        )
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Return the amplitudes of sine and cosine."""

@@ -18,6 +18,8 @@ from galen_hw.spatial import Array, rotation_exp
 
 FURTHEST = {"m": 0.05, "rad": 0.5}
 """An arm that is built so wrong is another arm."""
+ECCENTRIC = 0.02
+"""Error in rad beyond which no encoder's disk is mounted: 0.2 mm beside its centre at a radius of 10 mm."""
 
 
 @dataclass(frozen=True)
@@ -31,24 +33,36 @@ class _Encoder(Effect):
     def columns(self, scene: Scene) -> Columns:
         """Return the slope of the misread arm, else the joint's port times what the error moves it by."""
         slope = _slope(lambda x: self._misread(scene, x))
-        port = slope if slope is not None else _less_zero(scene, self._port)
+        ports = [slope] if slope is not None else [self._port(scene, moved) for moved in self._ways()]
+        return in_all(ports, len(scene.channels))
+
+    def _port(self, scene: Scene, moved: Callable[[Scene], Array]) -> Array:
+        """Return what a motion of the joint changes (N, C), less what it has changed where the reading was set to zero."""
+
+        def change(at: Scene) -> Array | None:
+            port = at.joint_port(self.joint)
+            return None if port is None else port * moved(at)[:, None]
+
+        port = _less_zero(scene, change)
         assert port is not None, "proposed only where there is a port"
-        return in_all([port], len(scene.channels))
+        return port
 
-    def _port(self, scene: Scene) -> Array | None:
-        port = scene.joint_port(self.joint)
-        return None if port is None else port * self._moved(scene)[:, None]
+    def _ways(self) -> tuple[Callable[[Scene], Array], ...]:
+        """Return for each parameter how far the error moves the joint (N,) of a scene, per unit."""
+        return (
+            (lambda at: at.q[:, at.joint_index(self.joint)]) if self.ERROR == "scale" else lambda at: np.ones(len(at)),
+        )
 
-    def _moved(self, scene: Scene) -> Array:
-        """Return how far the error moves the joint (N,), per unit of the parameter."""
-        return scene.q[:, scene.joint_index(self.joint)] if self.ERROR == "scale" else np.ones(len(scene))
+    def _moved(self, scene: Scene, theta: Array) -> Array:
+        """Return how far the error moves the joint (N,)."""
+        return sum((t * way(scene) for t, way in zip(theta, self._ways(), strict=True)), np.zeros(len(scene)))
 
     def exact(self, scene: Scene, theta: Array) -> Array | None:
         """Return the change of the misread arm itself, or of the turned one, where its screws are known."""
         misread = self._misread(scene, float(theta[0]))
         if misread is not None:
             return misread
-        return _less_zero(scene, lambda at: _by_screw(at, self.joint, theta[0] * self._moved(at)))
+        return _less_zero(scene, lambda at: _by_screw(at, self.joint, self._moved(at, theta)))
 
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
         """Return the scene with the joint where it really is."""
@@ -115,27 +129,52 @@ class JointOffset(_Encoder):
 class JointScale(_Encoder):
     """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
 
-    Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
+    "eccentric": its encoder errs once a turn, q' = q + s sin q + c cos q, as a disk does that turns about a point beside its
+    centre. Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
     """
 
     KEY = "joint_scale"
     SAYS = "the joint's scale is off"
     KNOWN_BY = "it grows in proportion to the joint's travel"
     CONFIRMED_BY = "visit both ends of the joint's range"
-    HEAD = ("scale_error",)
+    HEAD = ("scale_error", "sine", "cosine")
     ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
     RIGID = True
     GEOMETRY_ORDER = 0
     ERROR = "scale"
+    part: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Yield every joint that moves and shows."""
-        yield from (cls(joint) for joint in scene.moved if answers(scene, joint))
+        """Yield every joint that moves and shows; one that turns may have an eccentric encoder."""
+        for joint in scene.moved:
+            if answers(scene, joint):
+                yield cls(joint)
+                if scene.joint_units(joint)[0] == "rad":
+                    yield cls(joint, "eccentric")
+
+    @property
+    def remark(self) -> str:
+        """A sentence on an encoder that errs once a turn."""
+        return "Its reading errs once a turn, as that of an eccentric encoder does." if self.part else ""
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Return the relative error of the scale."""
+        """Return the relative error of the scale, or the amplitudes of sine and cosine."""
+        if self.part:
+            return tuple(Parameter(name, "rad", furthest=ECCENTRIC) for name in ("sine", "cosine"))
         return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
+
+    def stands(self, scene: Scene, theta: Array) -> Scene | None:
+        """Return the scene with the joint where it really is; None for an eccentric encoder, whose errors are small."""
+        return None if self.part else super().stands(scene, theta)
+
+    def _misread(self, scene: Scene, value: float) -> Array | None:
+        return None if self.part else super()._misread(scene, value)
+
+    def _ways(self) -> tuple[Callable[[Scene], Array], ...]:
+        if not self.part:
+            return super()._ways()
+        return tuple(lambda at, wave=wave: wave(at.q[:, at.joint_index(self.joint)]) for wave in (np.sin, np.cos))
 
 
 @dataclass(frozen=True)
