@@ -14,6 +14,7 @@ PREMISES: Final = (
     "cells.LostValues",
     "blanks.BlankSamples",
     "sampling.OuterJoin",
+    "unpadded.UnpaddedStamps",
     "clock.RowOrder",
     "clock.ClockUnit",
     "cells.DoubledRows",
@@ -34,6 +35,7 @@ PREMISES: Final = (
     "units.ToolSize",
     "channels.DeadChannels",
     "channels.StuckChannels",
+    "high_pass.HighPassedWrench",
     "wrench_frames.WrenchFrames",
     "units.WrenchUnits",
     "effort_units.EffortUnits",
@@ -47,6 +49,7 @@ PREMISES: Final = (
     "joint_reading.JointReading",
     "link_lengths.LinkLengths",
     "load.ToolTwice",
+    "weightless.WeightlessTool",
     "tool_inertia.ToolInertia",
     "load.LoadChange",
 )

@@ -168,7 +168,9 @@ def _tries(some: Observations) -> Iterator[_Try]:
         joints = [j for j in some.joint_names if f"joint.{j}.{kind}" in some.columns]
         yield from (_Try(kind, (joint,), ((-1.0,),)) for joint in joints)
         if kind == "position" != some.predict:
-            yield from _zeros([joint for joint in joints if not some.belief.slides(joint)])
+            turning = [joint for joint in joints if not some.belief.slides(joint)]
+            yield from _zeros(turning)
+            yield from _linked(turning)
         for pair in combinations(joints, 2):
             yield _Try(kind, pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED)
         for pair in combinations(joints, 2):
@@ -184,6 +186,14 @@ def _zeros(joints: Sequence[str]) -> Iterator[_Try]:
             for quarters in (1, 2, -1):
                 says = f"its zero {abs(90 * quarters)} deg from the model's{turned}"
                 yield _Try("position", (joint,), ((sign,),), quarters * np.pi / 2.0, says)
+
+
+def _linked(joints: Sequence[str]) -> Iterator[_Try]:
+    """Yield positions that are counted against the link before the last one: a parallel linkage, or J3 as a pendant shows it."""
+    for pair in pairwise(joints):
+        for sign, way in ((1.0, "added to"), (-1.0, "taken off")):
+            says = f"a coupling, as J2 and J3 of a pendant: the first is {way} the second"
+            yield _Try("position", pair, ((1.0, 0.0), (sign, 1.0)), says=says)
 
 
 def _coupled(joints: Sequence[str]) -> Iterator[_Try]:
