@@ -117,4 +117,4 @@ def swapped_again(out: Selection) -> bool:
 def _left_behind(scorer: Scorer, i: int, j: int) -> bool:
     """Return whether j is the chosen i as it was before it converged: a tangent seems to reach anywhere."""
     own, other = scorer.library[i], scorer.library[j]
-    return other.theta is not None and own.effect == other.effect and own.effect is not None and own.effect.curved
+    return own.effect is not None and own.effect.curved and other.theta is not None and own.effect == other.effect
