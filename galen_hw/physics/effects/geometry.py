@@ -18,8 +18,6 @@ from galen_hw.spatial import Array, rotation_exp
 
 FURTHEST = {"m": 0.05, "rad": 0.5}
 """An arm that is built so wrong is another arm."""
-ECCENTRIC = 0.02
-"""Error in rad beyond which no encoder's disk is mounted: 0.2 mm beside its centre at a radius of 10 mm."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ class JointScale(_Encoder):
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Return the relative error of the scale, or the amplitudes of sine and cosine."""
         if self.part:
-            return tuple(Parameter(name, "rad", furthest=ECCENTRIC) for name in ("sine", "cosine"))
+            return tuple(Parameter(name, "rad", furthest=FURTHEST["rad"]) for name in ("sine", "cosine"))
         return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
 
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
