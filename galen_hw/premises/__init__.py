@@ -24,6 +24,7 @@ PREMISES: Final = (
     "overflow.Overflow",
     "channels.CopiedColumns",
     "joints.WrappedJoints",
+    "gaps.FilledGaps",
     "clock.ClockRate",
     "sampling.Staircase",
     "simulated_motion.SimulatedMotion",
