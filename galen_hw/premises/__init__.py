@@ -28,6 +28,7 @@ PREMISES: Final = (
     "clock.ClockRate",
     "sampling.Staircase",
     "simulated_motion.SimulatedMotion",
+    "normalised.CommonUnit",
     "position_units.PositionUnits",
     "joints.VelocityColumns",
     "joints.SignMagnitude",
