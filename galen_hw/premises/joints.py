@@ -8,7 +8,8 @@ import numpy as np
 
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
-from galen_hw.premises.clock import travelled
+from galen_hw.premises.cells import Mask, rows_in, runs
+from galen_hw.premises.clock import SPEEDS, STEP, travelled
 from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
 from galen_hw.premises.unit_tables import TURN, VELOCITY_RATIOS, unit_of
 from galen_hw.spatial import Array
@@ -31,31 +32,80 @@ def joint_columns(seen: Observations, kind: str) -> list[str]:
 
 
 class WrappedJoints:
-    """Tests for angles that jump by a whole turn from one row to the next: wrapped to one turn."""
+    """Tests for angles that jump by a whole turn: wrapped to one turn, and perhaps resampled by straight lines behind.
+
+    Resampled ones have rows anywhere between the two ends, which no joint was at.
+    """
 
     KEY: ClassVar[str] = "wrapped_joints"
     STAGE: ClassVar[Stage] = Stage.CELLS
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield one remark; the angles are unwrapped within their segments."""
+        """Yield one remark; the angles are unwrapped within their segments, without rows between."""
         if seen.time is None:
             return
-        columns, jumps = {}, 0
+        ours, columns, jumps = set(compared_names(seen)), dict[str, Array](), 0
+        lost = np.zeros(len(seen), dtype=bool)
         for name in [*joint_columns(seen, "position"), *joint_columns(seen, "command")]:
-            values = seen.columns[name]
-            step = np.abs(steps_within(values, seen.segments))
-            if len(step) < 7:
-                continue
-            usual = float(np.quantile(step, 0.95))
             for turn in WRAPS:
+                between = _between_ends(seen.columns[name], seen.time, seen.segments, turn)
+                values = np.where(between, np.nan, seen.columns[name])
+                step = np.abs(steps_within(values, seen.segments))
+                if len(step) < 7:
+                    continue
+                usual = float(np.quantile(step, 0.95))
                 wraps = np.abs(step - turn) < max(0.05 * turn, 2.0 * usual)
                 if wraps.any() and usual < 0.1 * turn and np.nanmax(values) - np.nanmin(values) < 1.01 * turn:
                     columns[name], jumps = unwrapped(values, seen.segments, turn), jumps + int(wraps.sum())
+                    lost |= between
+                    if name not in ours and between.any():
+                        # What drives is needed in every row: there as straight lines make it of angles that do not wrap.
+                        known = np.isfinite(columns[name])
+                        filled = np.interp(seen.time[between], seen.time[known], columns[name][known])
+                        columns[name][between] = filled
                     break
         if columns:
             names = ", ".join(columns)
             what = f"{names} wrap{'s' if len(columns) == 1 else ''} by a whole turn {jumps} times: unwrapped"
-            yield Remark(self.KEY, what, "", tuple(columns), Action.REPAIRED, with_columns(seen, columns))
+            if lost.any():
+                end = "interpolated" if ours.isdisjoint(columns) else "left out"
+                rows = rows_in(int(lost.sum()), len(seen))
+                what += f"; {rows} between the two ends, which resampling made by straight lines, are {end}"
+            todo = "unwrap before resampling" if lost.any() else ""
+            yield Remark(self.KEY, what, todo, tuple(columns), Action.REPAIRED, with_columns(seen, columns))
+
+
+def _between_ends(values: Array, time: Array, segments: Sequence[slice], turn: float) -> Mask:
+    """Return which of angles (N,) stand between the two ends of a turn, passed faster than any machine, and no wrap at once.
+
+    Args:
+        time: (N,) s.
+        segments: runs of rows that are continuous.
+        turn: a whole turn in the unit of the angles.
+    """
+    out = np.zeros(len(values), dtype=bool)
+    for part in segments:
+        there = part.start + np.flatnonzero(np.isfinite(values[part]))
+        x, period = values[there], np.diff(time[there])
+        if len(x) < 8 or not np.all(period > 0.0):
+            continue
+        rate = np.diff(x) / period
+        usual = float(np.quantile(np.abs(rate), 0.95))
+        fastest = max(STEP * usual, SPEEDS[1] * turn / TURN)
+        # Where a wrap begins or ends just beside a row, this one is hardly off: by what the motion beside it foretells.
+        ahead, behind = np.diff(rate) * period[1:], -np.diff(rate) * period[:-1]
+        limit = STEP * float(np.quantile(np.abs(ahead), 0.95))
+        for way in (-1.0, 1.0):
+            for start, stop in runs(way * rate > fastest):
+                first, last = start, stop
+                if first >= 2 and way * ahead[first - 2] > limit:
+                    first -= 1
+                if last + 1 < len(rate) and way * behind[last] > limit:
+                    last += 1
+                away = abs(abs(float(x[last] - x[first])) - turn)
+                if away < max(0.05 * turn, 2.0 * usual * float(time[there[last]] - time[there[first]])):
+                    out[there[first + 1 : last]] = True
+    return out
 
 
 class VelocityColumns:
