@@ -7,39 +7,37 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain, descended
 from galen_hw.diagnosis.estimation.linearisation import nonlinear_restored, rebase, tangent
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
-from galen_hw.diagnosis.settings import BUDGET, LIMITS
-from galen_hw.spatial import Array
+from galen_hw.diagnosis.settings import BUDGET
 
 
 def settle(bench: Bench, scorer: Scorer, chosen: list[int], *, anew: bool = False) -> None:
-    """Linearise nonlinear effects again where their estimates have moved, until none has; their remainders leave the residual.
+    """Linearise nonlinear effects again at their estimates until these converge; their remainders leave the residual.
 
     `anew`: even where the estimates have not moved, since the output stage has changed.
     """
     rebase(scorer, chosen)
     for _ in range(3):
         theta = scorer.solve(chosen)[0]
-        fresh = list[tuple[int, Hypothesis]]()
+        beyond, fresh, moved = np.zeros_like(bench.y), [], False
         for place, (h, t) in enumerate(with_parameters(scorer.parts(chosen), theta), -len(scorer.base)):
-            if h.effect is None or not (anew or _moved(bench, h, t)) or not h.effect.bends(bench.scene, t):
+            if h.effect is None or not h.effect.bends(bench.scene, t):
                 continue
-            curved = h.effect.curved
-            fresh.append((place, _settled(bench, scorer, chosen, chosen[place]) if curved else tangent(bench, h, t)))
-        if not fresh:
+            new = _settled(bench, scorer, chosen, chosen[place]) if h.effect.curved else tangent(bench, h, t)
+            assert new.nonlinear is not None, "a tangent has one"
+            assert new.theta is not None, "a tangent has one"
+            beyond += new.nonlinear
+            moved = (
+                moved or h.theta is None or bool(np.max(np.abs(h.theta - new.theta)) > 1e-3 * np.max(np.abs(new.theta)))
+            )
+            fresh.append((place, new))
+        if not fresh or not (moved or anew):
             return
         anew = False
+        bench.update_state(y=bench.whole - bench.state.interaction - beyond)
         scorer.append([h for _, h in fresh])
         for k, (place, _) in enumerate(fresh):
             chosen[place] = len(scorer.library) - len(fresh) + k
-        rebase(scorer, chosen)
-
-
-def _moved(bench: Bench, h: Hypothesis, theta: Array) -> bool:
-    """Return whether an estimate (k,) is so far from where the hypothesis is linearised that the fit could differ."""
-    if h.theta is None:
-        return True
-    step = h.white.values[bench.train] @ (theta - h.theta)
-    return bool(np.sum(step**2) > LIMITS.tie)
+        scorer.retarget(bench.y)
 
 
 def _settled(bench: Bench, scorer: Scorer, chosen: list[int], i: int) -> Hypothesis:
