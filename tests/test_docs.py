@@ -134,6 +134,7 @@ def test_the_release_files_agree_with_the_project():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     own, *_ = project["license"].split(" AND ")  # others are of what is shipped with it
     assert f"license: {own}\n" in citation
+    assert f"version: {VERSION}\n" in citation or ".dev" in VERSION
     assert "Typing :: Typed" in project["classifiers"]
     assert (Path(galen_hw.__file__).parent / "py.typed").exists()
 
