@@ -36,14 +36,16 @@ class HighPassedWrench:
         t, y, x = t - t[0], y[:, live], x[:, live]
         # Longer than half the recording it is a drift, shorter than some rows a derivative.
         shortest, longest = 10.0 * float(np.median(np.diff(t))), 0.5 * float(t[-1])
+        if not 0.0 < shortest < longest:
+            return
         found = minimize_scalar(
             lambda log_constant: _unexplained(t, y, x, float(np.exp(log_constant))),
             bounds=(np.log(shortest), np.log(longest)),
             method="bounded",
         )
         plain = _unexplained(t, y, x, np.inf)
-        if found.fun > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
-            return
+        if not found.fun <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+            return  # nor where any of it is not finite
         what = (
             f"the wrench has lost its slow part, as behind a high-pass with a time constant of {np.exp(found.x):.3g} s: "
             "what the tool weighs decays to nothing at every rest"

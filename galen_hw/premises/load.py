@@ -71,8 +71,8 @@ class ToolTwice:
         if without is None:
             return
         left = [one.unexplained(one.scene.simulated) for one in (without, efforts)]
-        if left[0] > CRITERIA.gross_gain * left[1]:
-            return
+        if not left[0] <= CRITERIA.gross_gain * left[1]:
+            return  # nor where any of it is not finite
         what = (
             f"the efforts hold nothing of the named tool of {tool.mass:.4g} kg: the robot's model bears it already, in a link, "
             "or it is not on the arm; taken off"

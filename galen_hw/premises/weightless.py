@@ -39,8 +39,8 @@ class WeightlessTool:
         named = _missed(some)
         left = {says: _missed(replace(some, belief=other)) for says, other in others.items()}
         says = min(left, key=lambda one: left[one])
-        if left[says] > min(CRITERIA.gross_left * _weighed(some), CRITERIA.gross_gain * named):
-            return
+        if not left[says] <= min(CRITERIA.gross_left * _weighed(some), CRITERIA.gross_gain * named):
+            return  # nor where any of it is not finite
         what = (
             f"the wrench holds nothing of the named tool's weight, {tool.mass:.4g} kg{f' ({says})' if says else ''}: "
         )
