@@ -66,6 +66,12 @@ def test_a_wrench_behind_a_high_pass_is_refused_with_its_time_constant(constant:
         assert told == pytest.approx(constant, rel=0.1)
 
 
+def test_gauges_that_warm_up_are_no_high_pass() -> None:
+    columns = moving()
+    columns["wrench.force.z"] = columns["wrench.force.z"] + 30.0 * (1.0 - np.exp(-columns["time"] / 6.0))
+    assert not list(HighPassedWrench().examine(seen(columns, named=True)))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_a_tool_whose_weight_was_taken_off_is_compared_without_it(share: float) -> None:
     """Half the weight is a gain or another tool, which are physics."""

@@ -43,7 +43,8 @@ class HighPassedWrench:
             bounds=(np.log(shortest), np.log(longest)),
             method="bounded",
         )
-        plain = _unexplained(t, y, x, np.inf)
+        # A warm-up of the gauges alone is no filter: what the start of one explains is granted to the simulation as it is.
+        plain = _unexplained(t, y, x, float(np.exp(found.x)), passed=False)
         if not found.fun <= min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
             return  # nor where any of it is not finite
         what = (
@@ -54,18 +55,16 @@ class HighPassedWrench:
         yield Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REFUSED)
 
 
-def _unexplained(t: Array, y: Array, x: Array, constant: float) -> float:
-    """Return the share of the variance of y (N, C) that x (N, C) behind a high-pass leaves, a constant and its start aside.
+def _unexplained(t: Array, y: Array, x: Array, constant: float, *, passed: bool = True) -> float:
+    """Return the share of the variance of y (N, C) that x (N, C) leaves, a constant and the start of a filter aside.
 
     Args:
-        t: (N,) s from 0 on; constant: of the filter, s; infinite for none.
+        t: (N,) s from 0 on; constant: of the filter, s; passed: whether x goes through the filter.
     """
-    beside = [np.ones(len(t))]
-    if np.isfinite(constant):
+    if passed:
         keep = constant / (constant + float(np.median(np.diff(t))))
         x = lfilter([keep, -keep], [1.0, -keep], x - x[0], axis=0)
-        beside.append(np.exp(-t / constant))
-    Q = np.linalg.qr(np.stack(beside, axis=-1))[0]
+    Q = np.linalg.qr(np.stack([np.ones(len(t)), np.exp(-t / constant)], axis=-1))[0]
     left = y - x
     left = left - Q @ (Q.T @ left)
     return float(np.mean(np.var(left, axis=0) / np.var(y, axis=0)))
