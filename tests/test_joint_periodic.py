@@ -41,6 +41,17 @@ def test_no_ripple_is_finer_than_two_rows_of_the_motion() -> None:
     assert one.effect.wave_number < np.pi / step  # type: ignore[attr-defined]
 
 
+def test_a_joint_that_moves_between_segments_alone_has_no_ripple() -> None:
+    """Within a segment it stands still, so that no period can be told from a step of the zero."""
+    t = np.arange(2000) / 100.0
+    q = np.where(t < 10.0, 0.2, 0.9)
+    columns = {"time": t, "joint.axis.position": q, "segment": (t >= 10.0).astype(float)}
+    scene = scene_of(Observations("position", columns, {"time": t, "joint.axis.position": q}, Belief(bias_free=True)))
+    rest = np.random.default_rng(0).standard_normal((len(scene), 1))
+    assert scene.moved == ("axis",)
+    assert not ripples(scene, rest, Rows(tuple(scene.segments)))
+
+
 def test_an_eccentric_encoder_errs_once_a_turn() -> None:
     """The true position is the reading plus 0.8 mrad times a sine of it; poses are tracked."""
     t, robot = np.arange(6000) / 60.0, UrdfRobot(URDF, sensor_link="hand")

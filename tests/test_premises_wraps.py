@@ -23,7 +23,7 @@ def wrapped(q: np.ndarray, turn: float = TURN) -> np.ndarray:
 
 
 def resampled(q: np.ndarray, slow: np.ndarray, t: np.ndarray, turn: float = TURN) -> tuple[np.ndarray, np.ndarray, int]:
-    """What straight lines make at t (N,) of ring counts at times slow (M,): values, rows that are off, and wraps."""
+    """Return what straight lines make at t (N,) of ring counts at times slow (M,): values, rows that are off, and wraps."""
     ring = wrapped(q, turn)
     values = np.interp(t, slow, ring)
     right = np.interp(t, slow, q) / TURN * turn % turn

@@ -75,7 +75,11 @@ class UrdfRobot(UrdfChain):
         return other
 
     def without(self, mass: float, com: ArrayLike, inertia: ArrayLike) -> Self:
-        """The same robot less a body that it carries, see `carrying`: inertial parameters add up."""
+        """Return the same robot less a body that it carries: inertial parameters add up.
+
+        Args:
+            mass: kg; com: (3,) in the sensor frame, m; inertia: (3, 3) about the centre of mass, sensor axes, kg m^2.
+        """
         other, frame = self._of(pin.Model(self.model)), self.model.frames[self._sensor]
         body = pin.Inertia(float(mass), np.asarray(com, dtype=float), np.asarray(inertia, dtype=float))
         whole = other.model.inertias[frame.parentJoint].toDynamicParameters()

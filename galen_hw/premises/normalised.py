@@ -18,7 +18,7 @@ from galen_hw.spatial import Array
 
 @dataclass(frozen=True)
 class Reading:
-    """How a joint's recorded position follows its simulation: factor times it, and a zero.
+    """Hold how a joint's recorded position follows its simulation: factor times it, and a zero.
 
     Args:
         name: the joint's column.

@@ -28,10 +28,9 @@ class UnpaddedStamps:
         if time is None or len(time) < 50 or not smooth(seen):
             return
         steps = np.diff(time)
-        usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
-        back = int(np.sum(steps < 0.0))
-        if not back or usual <= 0.0:
+        if not np.any(steps < 0.0) or not np.any(steps > 0.0):
             return
+        usual = float(np.median(steps[steps > 0.0]))
         right = _padded(time)
         far_before, far_after = (int(np.sum(np.abs(np.diff(t)) > STEP * usual)) for t in (time, right))
         if np.any(np.diff(right) < 0.0) or far_after > CRITERIA.gross_left * far_before:

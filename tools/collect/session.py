@@ -119,9 +119,8 @@ class CollectSession:
     def _listen(self, seconds: float, text: str = "") -> None:
         """Take messages for so long."""
         if self.simulated and not self._newest_ns:
-            self._hear(
-                SILENT_S
-            )  # a simulated robot's clock runs ahead of this one's, and is known by its messages alone
+            # A simulated robot's clock runs ahead of this one's, and is known by its messages alone.
+            self._hear(SILENT_S)
         until = self._now_s() + seconds
         shown, heard = 0.0, time.monotonic()
         while (left := until - self._now_s()) > 0.0 and time.monotonic() - heard < max(seconds, SILENT_S):

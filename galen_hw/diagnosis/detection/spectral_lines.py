@@ -120,8 +120,11 @@ def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
             continue
         position = scene.q[:, scene.joint_index(joint)]
         q = rows.average(position)
-        steps = np.concatenate([np.abs(np.diff(q[run])) for run in rows.runs])
-        coarsest = max(quantisation(position[:, None])[0], float(np.quantile(steps[steps > 0.0], 0.9, method="higher")))
+        steps = np.concatenate([np.empty(0), *(np.abs(np.diff(q[run])) for run in rows.runs)])
+        steps = steps[steps > 0.0]
+        if not len(steps) or not np.isfinite(q).all():
+            continue  # a joint that moves between segments alone, or was not read everywhere
+        coarsest = max(quantisation(position[:, None])[0], float(np.quantile(steps, 0.9, method="higher")))
         highest = np.pi / max(coarsest, float(np.ptp(q)) / len(q))
         numbers, power = _spectrum_over(q, residual[:, c] - residual[:, c].mean(), highest)
         if len(numbers):

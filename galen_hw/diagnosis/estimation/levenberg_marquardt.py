@@ -79,7 +79,7 @@ def descended(
     Source: Levenberg 1944, Marquardt 1963; the model's own parameters are solved for at each step (variable projection).
 
     Args:
-        enough: fall of twice the log likelihood by which a step must have paid for another.
+        enough: fall of twice the log likelihood that an undamped step must promise, and that must have been paid for another.
         first: damping of the first step, of the square of each column; ten times more where a step does not pay,
             a tenth where it does.
         stuck: damping beyond which no step pays.

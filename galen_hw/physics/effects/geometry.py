@@ -47,9 +47,7 @@ class _Encoder(Effect):
 
     def _ways(self) -> tuple[Callable[[Scene], Array], ...]:
         """Return for each parameter how far the error moves the joint (N,) of a scene, per unit."""
-        return (
-            (lambda at: at.q[:, at.joint_index(self.joint)]) if self.ERROR == "scale" else lambda at: np.ones(len(at)),
-        )
+        return (lambda at: np.ones(len(at)),)
 
     def _moved(self, scene: Scene, theta: Array) -> Array:
         """Return how far the error moves the joint (N,)."""
@@ -133,7 +131,7 @@ class JointScale(_Encoder):
 
     KEY = "joint_scale"
     SAYS = "the joint's scale is off"
-    KNOWN_BY = "it grows in proportion to the joint's travel"
+    KNOWN_BY = "it follows the joint's travel alone, in proportion or once a turn"
     CONFIRMED_BY = "visit both ends of the joint's range"
     HEAD = ("scale_error", "sine", "cosine")
     ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
@@ -170,9 +168,8 @@ class JointScale(_Encoder):
         return None if self.part else super()._misread(scene, value)
 
     def _ways(self) -> tuple[Callable[[Scene], Array], ...]:
-        if not self.part:
-            return super()._ways()
-        return tuple(lambda at, wave=wave: wave(at.q[:, at.joint_index(self.joint)]) for wave in (np.sin, np.cos))
+        shapes = (np.sin, np.cos) if self.part else (np.asarray,)
+        return tuple(lambda at, shape=shape: shape(at.q[:, at.joint_index(self.joint)]) for shape in shapes)
 
 
 @dataclass(frozen=True)
