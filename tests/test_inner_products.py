@@ -9,7 +9,7 @@ from galen_hw.diagnosis.stats.sampling import Index
 from galen_hw.spatial import Array
 
 ROWS, WIDTH = 12, 3
-STEPS = st.lists(st.sampled_from(["append", "ask", "ask all", "for a while"]), min_size=1, max_size=12)
+STEPS = st.lists(st.sampled_from(["append", "ask", "ask all", "for a while", "forget"]), min_size=1, max_size=12)
 
 
 def _group(rng: np.random.Generator) -> tuple[Group, Array]:
@@ -31,13 +31,14 @@ def _check(products: InnerProducts, X: Array, a: Index, b: Index) -> None:
 @settings(deadline=None)
 @given(STEPS, st.integers(0, 2**32 - 1))
 def test_products_are_those_of_the_whole_matrix(steps: list[str], seed: int) -> None:
-    """In any order of growing and asking; what came for a while leaves no trace."""
+    """In any order of growing and asking; what came for a while or is forgotten leaves no trace."""
     rng = np.random.default_rng(seed)
-    products, X = InnerProducts(WIDTH), np.empty((WIDTH * ROWS, 0))
+    products, X, sizes = InnerProducts(WIDTH), np.empty((WIDTH * ROWS, 0)), list[int]()
 
     def grow() -> Array:
         new = [_group(rng) for _ in range(int(rng.integers(1, 4)))]
         first = len(products)
+        sizes.extend(group.size for group, _ in new)
         products.append([group for group, _ in new])
         whole = np.concatenate([X, *(columns for _, columns in new)], axis=1)
         target = rng.normal(size=(WIDTH, ROWS, 2))
@@ -51,11 +52,20 @@ def test_products_are_those_of_the_whole_matrix(steps: list[str], seed: int) -> 
     for step in steps:
         if step == "append":
             X = grow()
+        elif step == "forget":
+            gone = rng.random(len(sizes)) < 0.4
+            left = products.forget(gone)
+            assert (left == ~np.repeat(gone, sizes)).all()
+            X, sizes = X[:, left], [size for size, out in zip(sizes, gone, strict=True) if not out]
+            assert len(products) == X.shape[1]
+            _check(products, X, some(), some())
         elif step == "for a while":
+            before = list(sizes)
             with products.fewer_again():
                 more = grow()
                 _check(products, more, some(), some())
                 _check(products, more, some(), np.arange(len(products)))
+            sizes = before
         else:
             at = some()
             _check(products, X, at, np.arange(len(products)) if step == "ask all" else at)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from galen_hw.diagnosis.stats.sampling import Index
+from galen_hw.diagnosis.stats.sampling import Index, Mask
 from galen_hw.spatial import Array
 
 
@@ -57,6 +57,12 @@ class _ColumnStack(NamedTuple):
         self.room[:, len(self.at) : len(self.at) + len(at)] = X
         return _ColumnStack(np.concatenate([self.at, at]), self.room)
 
+    def renumbered(self, numbers: Index) -> "_ColumnStack":
+        """Return those columns that keep a number: new ones by the old, ascending; -1: none."""
+        at = numbers[self.at]
+        kept = at >= 0
+        return _ColumnStack(at, self.room) if kept.all() else _ColumnStack.of(at[kept], self.columns[:, kept])
+
 
 class _Stacks:
     """Columns of each channel, side by side in the order of their numbers or as they came."""
@@ -75,6 +81,16 @@ class _Stacks:
             stack[-1] = stack[-1].joined(at, X)
         else:
             stack.append(_ColumnStack.of(at, X))
+
+    def renumbered(self, numbers: Index) -> "_Stacks":
+        """Return those columns that keep a number.
+
+        Args:
+            numbers: new ones by the old, ascending; -1: none.
+        """
+        return _Stacks(
+            0, [[new for part in stack if len((new := part.renumbered(numbers)).at)] for stack in self.channels]
+        )
 
     def parts(self, channel: int, first: int) -> Iterator[tuple[Index, Array]]:
         """Yield numbers and columns (n, k) of a channel, in order, from a number on."""
@@ -135,6 +151,23 @@ class InnerProducts:
             yield
         finally:
             self.__dict__.update(kept)
+
+    def forget(self, groups: Mask) -> Mask:
+        """Forget groups of columns (m,), in the order in which they came.
+
+        Returns:
+            (len,) which columns are left; they move up.
+        """
+        kept = ~groups[self._owner]
+        known = np.zeros(self._rows, dtype=bool)
+        known[self._row[kept & (self._row >= 0)]] = True
+        self._table = self._table[: self._rows, : self._reach][np.ix_(known, kept[: self._reach])]
+        self._rows, self._reach = self._table.shape
+        self._row = _ranks(known)[self._row[kept]]
+        self._blocks = [block for block, gone in zip(self._blocks, groups.tolist(), strict=True) if not gone]
+        self._owner = _ranks(~groups)[self._owner[kept]]
+        self._stacks, self._known = (stacks.renumbered(_ranks(kept)) for stacks in (self._stacks, self._known))
+        return kept
 
     def with_targets(self, targets: list[Array], first: int) -> Array:
         """Return inner products (len - first, k) of the columns from a number on with targets, (n, k) of each channel."""
@@ -199,3 +232,8 @@ class InnerProducts:
                 self._known.push(c, at, X)
                 for more, Y in self._stacks.parts(c, 0):
                     self._table[np.ix_(self._row[at], more)] += X.T @ Y
+
+
+def _ranks(kept: Mask) -> Index:
+    """Return the new number (n + 1,) of each that is kept, -1 for the others and in the last place, which is that of -1."""
+    return np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)

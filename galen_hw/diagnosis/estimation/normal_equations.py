@@ -86,6 +86,20 @@ class Scorer:
         self.b = np.concatenate([self.b, self.products.with_targets(self._white_rows, old)[:, 0]])
         self.fakes = np.concatenate([self.fakes, self.products.with_targets(self._fake_rows, old)])
 
+    def forget(self, gone: Mask) -> list[int]:
+        """Take hypotheses (m,) out of the library.
+
+        Returns:
+            The number of each among those that are left; -1: gone.
+        """
+        columns = self.products.forget(gone)
+        self.b, self.fakes = self.b[columns], self.fakes[columns]
+        self.families.subtract(h.family for h, out in zip(self.library, gone, strict=True) if out)
+        self.library = [h for h, out in zip(self.library, gone, strict=True) if not out]
+        ends = np.cumsum([h.count for h in self.library]).tolist()
+        self.places = [slice(end - h.count, end) for h, end in zip(self.library, ends, strict=True)]
+        return [int(number) for number in np.where(gone, -1, np.cumsum(~gone) - 1)]
+
     def rename(self, i: int, effect: Effect) -> None:
         """Let a hypothesis of the library be of another effect with the same columns."""
         h = self.library[i]
@@ -241,17 +255,18 @@ class Scorer:
                 highest = np.maximum(highest, reached.max(axis=0))
             for m, i in enumerate(group):
                 if counts[m]:
-                    score = self._score(i, float(gains[m]), int(counts[m]), float(surprise[m]))
-                    out[i] = replace(score, beyond=float(free[m] - gains[m]))
+                    out[i] = self._score(
+                        i, float(gains[m]), int(counts[m]), float(surprise[m]), beyond=float(free[m] - gains[m])
+                    )
         # In the order of the library: of equals the first is taken.
         return {i: out[i] for i in asked if i in out}, highest
 
-    def _score(self, i: int, gain: float, count: int, surprise: float) -> Score:
+    def _score(self, i: int, gain: float, count: int, surprise: float, *, beyond: float) -> Score:
         h = self.library[i]
         penalty = h.effective_parameters(max(count - h.unobserved(self._train), 0)) * h.penalty(self.bench)
         # Proposals from the residual pay for their trials.
         places = 2.0 * h.log_trials(self._train) if h.trials > 1 else self._occam.get(self._key(i), 0.0)
-        return Score(gain, count, surprise, float(gain - penalty - places))
+        return Score(gain, count, surprise, float(gain - penalty - places), beyond)
 
     def in_full(self, i: int, score: Score) -> Score:
         """Return a score with the penalty of all parameters of a relaxed hypothesis; of another the same."""

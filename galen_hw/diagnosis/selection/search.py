@@ -100,6 +100,7 @@ def _placed(bench: Bench, effect: Effect, theta: Array, trials: int) -> Hypothes
 def _look(out: Selection) -> None:
     """Begin a turn: add proposals from the residual, re-estimate limits and jumps, score all."""
     bench, scorer = out.bench, out.scorer
+    _forget_superseded(out)
     fresh = [s for s in sought(bench, scorer, out.chosen) if not known(bench, scorer, s.effect)]
     scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh])
     limits_updated(out)
@@ -108,6 +109,23 @@ def _look(out: Selection) -> None:
     out.turn.scores, highest = scorer.scores(out.chosen, surrogates=True)
     out.needed = max(out.needed, threshold(highest, CRITERIA.chance))
     out.first = out.first or out.turn.scores
+
+
+def _forget_superseded(out: Selection) -> None:
+    """Take out of the library what a nonlinear effect was linearised at before: each convergence leaves several.
+
+    Of an effect that is not in the model the last is kept. All were made later than what the first scores are of.
+    """
+    library, seen = out.scorer.library, {h.family for h in out.hypotheses}
+    gone = np.zeros(len(library), dtype=bool)
+    for i in reversed(range(len(library))):
+        if library[i].theta is not None and i not in out.chosen:
+            gone[i] = library[i].family in seen
+            seen.add(library[i].family)
+    if gone.any():
+        numbers = out.scorer.forget(gone)
+        out.chosen = [numbers[i] for i in out.chosen]
+        out.evidence = {numbers[i]: score for i, score in out.evidence.items() if numbers[i] >= 0}
 
 
 def _conclude(out: Selection) -> None:

@@ -281,7 +281,7 @@ class TargetsScene(ArmScene):
         Q = np.tile(np.eye(4), (len(self), 1, 1))
         for screw in screws:
             Q = Q @ exponential(screw)
-        moved = np.einsum("nij,nkj->nki", Q[:, :3, :3], self._points) + Q[:, None, :3, 3]
+        moved = self._points @ np.swapaxes(Q[:, :3, :3], 1, 2) + Q[:, None, :3, 3]
         return np.asarray((moved - self._points) @ self.registration[0].T).reshape(len(self), -1)
 
     def nuisances(self) -> list[Array]:

@@ -21,7 +21,7 @@ def exponential(screw: Array) -> Array:
     V = np.eye(3) + b * W + c * (W @ W)
     out = np.zeros((len(screw), 4, 4))
     out[:, :3, :3], out[:, 3, 3] = rotation_exp(w), 1.0
-    out[:, :3, 3] = np.einsum("nij,nj->ni", V, v)
+    out[:, :3, 3] = (V @ v[:, :, None])[:, :, 0]
     return out
 
 
