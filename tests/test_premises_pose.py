@@ -1,5 +1,6 @@
 """Trackers: units, axes, handedness and quaternions of a tracked pose and of tracked points, injected one by one."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -317,3 +318,34 @@ def test_a_mirrored_tracker_of_an_arm_that_stands_is_told_by_its_place() -> None
     remarks = examined(pushed(1.0, mirror=(-1.0, 1.0, 1.0))).remarks
     assert "left-handed" in remarks[0].what
     assert remarks[0].action is Action.REFUSED
+
+
+CONVENTIONS = {
+    "a rotation vector": None,
+    "roll, pitch, yaw about fixed x, y, z": "xyz",
+    "turns about x, y, z, each moved by those before": "XYZ",
+    "turns about z, y, x, each moved by those before": "ZYX",
+    "turns about z, y, z, each moved by those before": "ZYZ",
+}
+
+
+@pytest.mark.parametrize(("written", "read"), list(itertools.permutations(CONVENTIONS, 2)))
+@pytest.mark.filterwarnings("ignore:Gimbal lock")
+def test_three_numbers_that_were_read_by_another_convention_are_named(written: str, read: str):
+    """Of a body that is mounted turned, so that its numbers go far beyond a quarter turn; the two conventions are said."""
+    original = pose()
+    body = Rotation.from_quat(matrix(original, QUATERNION)) * Rotation.from_rotvec([2.4, -1.1, 0.6])
+    belief = Belief(robot=ROBOT, tip=TIP, tip_rotation=Rotation.from_rotvec([2.4, -1.1, 0.6]).as_matrix())
+    sequence = CONVENTIONS[written]
+    numbers = body.as_rotvec() if sequence is None else body.as_euler(sequence)
+    sequence = CONVENTIONS[read]
+    wrong = Rotation.from_rotvec(numbers) if sequence is None else Rotation.from_euler(sequence, numbers)
+    columns = original | dict(zip(QUATERNION, wrong.as_quat().T, strict=True))
+    found = examined(Observations("pose", columns, None, belief))
+    assert [r.action for r in found.remarks] == [Action.REFUSED]
+    # The same numbers in reverse order: either may have been taken for the other.
+    either = {CONVENTIONS[written], CONVENTIONS[read]} == {"xyz", "ZYX"}
+    pairs = [(written, read), (read, written)] if either else [(written, read)]
+    assert found.remarks[0].what in [f"the pose's orientation is {a} that was read as {b}" for a, b in pairs]
+    columns |= dict(zip(QUATERNION, body.as_quat().T, strict=True))
+    assert not examined(Observations("pose", columns, None, belief)).remarks

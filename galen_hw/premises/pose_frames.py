@@ -11,6 +11,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION, QUATERNION
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, with_matrix
 from galen_hw.premises.channels import slope
+from galen_hw.premises.conventions import misread
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.registration import poses, registered, sampled
 from galen_hw.premises.rotations import (
@@ -140,6 +141,12 @@ class PoseFrames:
             seen = with_matrix(seen, QUATERNION, other_quaternions(seen.matrix(*QUATERNION))[best])
             yield Remark(self.KEY, f"the pose's quaternions {best}", "", QUATERNION, Action.REPAIRED, seen)
             turn, left = misses[best]
+        elif left >= 0.25 * spread:
+            says, rest = misread(expected, rotation_from_quaternion(q))
+            if rest < CRITERIA.gross_left * left:
+                todo = "convert the orientation again, or leave its columns out and compare the position"
+                yield Remark(self.KEY, f"the pose's orientation is {says}", todo, QUATERNION, Action.REFUSED)
+                return
         if angle_of(turn) > CRITERIA.least_turn and left < 0.25 * spread:
             yield self._flange(seen, turn)
 

@@ -124,7 +124,7 @@ class Gain(Effect):
 
 @dataclass(frozen=True)
 class CrossTalk(Effect):
-    """One channel leaks into another: r_a = k w_b, an off-diagonal term of the calibration matrix.
+    """One channel leaks into another: r_a = k w_b, an off-diagonal term of the calibration matrix; of positions coupled joints.
 
     Visible where b varies otherwise than a. Confused with sensor_mounting (a skew matrix) and payload.
     """
@@ -145,8 +145,8 @@ class CrossTalk(Effect):
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Yield every ordered pair of channels of a wrench or of joint efforts."""
-        if scene.observations.predict not in ("wrench", "effort"):
+        """Yield every ordered pair of channels of a wrench, of joints' efforts or of their positions."""
+        if scene.observations.predict not in ("wrench", "effort", "position"):
             return
         spread = np.nanstd(scene.simulated, axis=0)
         for a in scene.channels:

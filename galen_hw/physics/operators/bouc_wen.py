@@ -8,9 +8,6 @@ import numpy as np
 
 from galen_hw.spatial import Array
 
-EVEN = 1e-6
-"""Growth below which the slope is taken for constant."""
-
 
 @dataclass(frozen=True)
 class WearState:
@@ -37,13 +34,15 @@ def wear(x: Array, reach: float, shape: float, state: WearState | None) -> tuple
     turns = moves[1:][rising[1:] != rising[:-1]]
     edges = [0, *turns.tolist(), len(way) - 1]
     out[0] = z
+    # Without growth the slope below zero is constant: so is it, to six digits, here.
+    growth = 1.0 - 2.0 * shape if abs(1.0 - 2.0 * shape) > 1e-6 else 1e-6
     for a, b in itertools.pairwise(edges):
         sign = 1.0 if way[b] >= way[a] else -1.0
         if b == a + 1:
             # Poses without a motion between them turn at every other row: arrays of one would cost ten times as much.
-            out[b] = sign * _worn_once(sign * float(out[a]), abs(float(way[b] - way[a])) / reach, 1.0 - 2.0 * shape)
+            out[b] = sign * _worn_once(sign * float(out[a]), abs(float(way[b] - way[a])) / reach, growth)
         else:
-            out[a : b + 1] = sign * _worn(sign * out[a], np.abs(way[a : b + 1] - way[a]) / reach, 1.0 - 2.0 * shape)
+            out[a : b + 1] = sign * _worn(sign * out[a], np.abs(way[a : b + 1] - way[a]) / reach, growth)
     own = out if state is None else out[1:]
     return own, WearState(float(x[-1]), float(own[-1]))
 
@@ -52,21 +51,16 @@ def _worn_once(start: float, s: float, growth: float) -> float:
     """Return w after one way s from w = start, see `_worn`."""
     if start >= 0.0:
         return 1.0 - (1.0 - start) * math.exp(-s)
-    start, even = max(start, -1.0), abs(growth) < EVEN
-    left = 1.0 + growth * start
-    zero = -start if even else (-math.log(left) / growth if left > 0.0 else math.inf)
-    if s >= zero:
-        return -math.expm1(zero - s)
-    return start + s if even else (left * math.exp(growth * s) - 1.0) / growth
+    left = 1.0 + growth * max(start, -1.0)
+    zero = -math.log(left) / growth if left > 0.0 else math.inf
+    return -math.expm1(zero - s) if s >= zero else (left * math.exp(growth * s) - 1.0) / growth
 
 
 def _worn(start: float, s: Array, growth: float) -> Array:
     """Return w (n,) along a way s (n,) from w = start, with w' = 1 + growth w below zero and 1 - w above."""
     if start >= 0.0:
         return np.asarray(1.0 - (1.0 - start) * np.exp(-s))
-    start, even = max(start, -1.0), abs(growth) < EVEN
-    left = 1.0 + growth * start
-    zero = -start if even else (-np.log(left) / growth if left > 0.0 else np.inf)
-    until = np.minimum(s, zero)
-    below = start + until if even else (left * np.exp(growth * until) - 1.0) / growth
+    left = 1.0 + growth * max(start, -1.0)
+    zero = -math.log(left) / growth if left > 0.0 else np.inf
+    below = (left * np.exp(growth * np.minimum(s, zero)) - 1.0) / growth
     return np.asarray(np.where(s < zero, below, -np.expm1(np.minimum(zero - s, 0.0))))
