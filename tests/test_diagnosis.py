@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import diagnosis_cases as cases
 from diagnosis_cases import IN_EFFORT, IN_POSITION, IN_WRENCH, SIGMA, Beam, Bench, Servo
 
+from galen_hw.diagnosis.noise.spectrum import followed
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.result import Diagnosis
-from galen_hw.diagnosis.validation.verdict import _followed
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
@@ -251,9 +251,10 @@ def test_what_of_a_rounding_error_follows_its_signal(share):
     readings = np.round(x[:, None] + share * rng.normal(size=(50, 40000)))
     error = readings.mean(axis=1) - x
     sigma = float(np.sqrt(share**2 + 1.0 / 12.0))
-    assert _followed(1.0, sigma) <= 0.2 / 12.0
-    assert min(np.var(error), 0.2 / 12.0) == pytest.approx(_followed(1.0, sigma), rel=0.05, abs=2e-5)
-    assert _followed(0.0, sigma) == 0.0
+    fine, none = followed(np.array([1.0, 0.0]), np.array([sigma, sigma]))
+    assert fine <= 0.2 / 12.0
+    assert min(np.var(error), 0.2 / 12.0) == pytest.approx(fine, rel=0.05, abs=2e-5)
+    assert none == 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -36,7 +36,7 @@ def test_a_gear_that_errs_twice_and_four_times_in_each_turn_of_its_motor_has_bot
 def test_no_ripple_is_finer_than_two_rows_of_the_motion() -> None:
     scene = scene_of(servo({}))
     rest = np.random.default_rng(0).standard_normal((len(scene), 1))
-    (one,) = ripples(scene, rest, Rows(tuple(scene.segments)))
+    (one,) = ripples(scene, rest, Rows(tuple(scene.segments)), np.zeros(len(scene.channels)))
     step = np.quantile(np.abs(np.diff(scene.q[:, 0])), 0.9)
     assert one.effect.wave_number < np.pi / step  # type: ignore[attr-defined]
 
@@ -49,7 +49,7 @@ def test_a_joint_that_moves_between_segments_alone_has_no_ripple() -> None:
     scene = scene_of(Observations("position", columns, {"time": t, "joint.axis.position": q}, Belief(bias_free=True)))
     rest = np.random.default_rng(0).standard_normal((len(scene), 1))
     assert scene.moved == ("axis",)
-    assert not ripples(scene, rest, Rows(tuple(scene.segments)))
+    assert not ripples(scene, rest, Rows(tuple(scene.segments)), np.zeros(len(scene.channels)))
 
 
 def test_an_eccentric_encoder_errs_once_a_turn() -> None:

@@ -97,3 +97,29 @@ def test_one_effort_without_a_sign_is_named_alone() -> None:
     found = examined(Observations("effort", dict(seen.columns) | {name: np.abs(seen.columns[name])}, None, seen.belief))
     (remark,) = found.refused
     assert (remark.premise, remark.columns) == ("magnitudes", (name,))
+
+
+def test_numbers_that_lost_their_minus_behind_the_point_are_refused() -> None:
+    """A logger that writes whole part and thousandths as two whole numbers: -0.342 became 0.342, -1.342 stayed."""
+    seen = efforts(*motion()[::-1])
+    bare = {n: np.where((v > -1.0) & (v < 0.0), -v, v) if n.endswith(".effort") else v for n, v in seen.columns.items()}
+    found = examined(Observations("effort", bare, None, seen.belief))
+    (remark,) = found.refused
+    assert remark.premise == "magnitudes"
+    assert "never between -1 and 0" in remark.what
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_one_joint_in_degrees_is_put_right(joint: int) -> None:
+    """Within the limits, since it hardly moves; all others are in rad."""
+    t, q = motion()
+    q = q.copy()
+    q[:, joint] = 0.02 + 0.02 * np.sin(0.9 * t)
+    seen = efforts(q, t)
+    name = f"joint.{seen.joint_names[joint]}.position"
+    found = examined(Observations("effort", dict(seen.columns) | {name: np.degrees(q[:, joint])}, None, seen.belief))
+    (remark,) = found.remarks
+    assert remark.action is Action.REPAIRED
+    assert remark.columns == (name,)
+    assert "degrees" in remark.what
+    assert found.observations.columns[name] == pytest.approx(q[:, joint], abs=1e-9)

@@ -16,6 +16,7 @@ def test_no_ripple_is_finer_than_two_steps_in_which_the_position_is_read(steps: 
     beam.q = np.round(steps * 0.5e-4 * np.sin(0.3 * beam.t) / 1e-4) * 1e-4
     scene = scene_of(beam.observations())
     rest = np.random.default_rng(0).standard_normal((len(scene), len(scene.channels)))
-    periods = [2.0 * np.pi / one.effect.wave_number for one in ripples(scene, rest, Rows(tuple(scene.segments)))]  # type: ignore[attr-defined]
+    found = ripples(scene, rest, Rows(tuple(scene.segments)), np.zeros(len(scene.channels)))
+    periods = [2.0 * np.pi / one.effect.wave_number for one in found]  # type: ignore[attr-defined]
     assert all(period > 2e-4 for period in periods)
     assert bool(periods) is (steps == 40)

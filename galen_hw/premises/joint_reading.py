@@ -18,6 +18,7 @@ from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.registration import poses
 from galen_hw.premises.rotations import scaled, turned_alike
 from galen_hw.premises.sampling import compared_names, measured
+from galen_hw.premises.unit_tables import JOINT_ANGLES, JOINT_LENGTHS
 from galen_hw.premises.wrench_reading import FORCE, at_rest, readings
 from galen_hw.spatial import Array, rotation_from_quaternion
 
@@ -171,6 +172,7 @@ def _tries(some: Observations) -> Iterator[_Try]:
             turning = [joint for joint in joints if not some.belief.slides(joint)]
             yield from _zeros(turning)
             yield from _linked(turning)
+            yield from (_in_unit(joint, slides=joint not in turning) for joint in joints)
         for pair in combinations(joints, 2):
             yield _Try(kind, pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED)
         for pair in combinations(joints, 2):
@@ -186,6 +188,12 @@ def _zeros(joints: Sequence[str]) -> Iterator[_Try]:
             for quarters in (1, 2, -1):
                 says = f"its zero {abs(90 * quarters)} deg from the model's{turned}"
                 yield _Try("position", (joint,), ((sign,),), quarters * np.pi / 2.0, says)
+
+
+def _in_unit(joint: str, *, slides: bool) -> _Try:
+    """Return positions of one joint in the unit that people think in, unlike those of all others."""
+    unit, factor = ("mm", JOINT_LENGTHS["mm"]) if slides else ("degrees", JOINT_ANGLES["degrees"])
+    return _Try("position", (joint,), ((1.0 / factor,),), says=f"{unit} for its unit, unlike the others")
 
 
 def _linked(joints: Sequence[str]) -> Iterator[_Try]:

@@ -1,41 +1,72 @@
-"""Readings without a sign: the size of a current or a force was logged."""
+"""Readings whose sign was lost: the size alone was logged, or the minus of numbers that begin with a nought."""
 
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
 from galen_hw.physics.observations import Observations
+from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
 
+LOST: Final = {
+    -np.inf: (
+        "never negative",
+        "log the value with its sign: the size alone, of a current or a force, does not say which way it acts",
+    ),
+    -1.0: (
+        "never between -1 and 0",
+        "write numbers as such: a whole part of 0 printed by itself, as %d.%03d does, loses its minus",
+    ),
+}
+"""Where readings without a sign would be, from such a number to zero: what is said, and what to do."""
+
+
+FEWEST: Final = 50
+"""Readings on either side of a gap."""
+
 
 class Magnitudes:
-    """Tests for loads that are never negative where their simulation is, and follow its absolute value far better."""
+    """Tests for loads that are never negative (or never between -1 and 0) where their simulation is, whose size they follow."""
 
     KEY: ClassVar[str] = "magnitudes"
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield one refusal with all channels that have no sign; friction, of either sign, may be larger than a load."""
-        if seen.predict not in ("effort", "wrench"):
+        scene = compared(seen) if seen.predict in ("effort", "wrench") else None
+        if scene is None or len(scene) < FEWEST:
             return
-        scene = compared(seen)
-        if scene is None or len(scene) < 50:
+        # Where both fit, as of torques below 1, what more channels say.
+        found = {least: _folded(seen, scene, least) for least in LOST}
+        least = max(found, key=lambda one: len(found[one]))
+        if not found[least]:
             return
-        unsigned = [c for c, name in enumerate(scene.channels) if np.nanmin(seen.columns[name]) >= 0.0]
-        x, y = scene.simulated[:, unsigned], scene.measured[:, unsigned]
-        folded, plain = (np.sum((y - one) ** 2, axis=0) for one in (np.abs(x), x))
-        negative = np.mean(x < -np.std(y, axis=0), axis=0)
-        alone = (folded < CRITERIA.gross_gain * plain) & (negative > CRITERIA.gross_left)
-        # All that a joint's motor does has both signs in a motion, whatever it bears: where none has, one load is enough to tell.
-        together = len(unsigned) == len(scene.channels) > 1 and np.sum(folded) < CRITERIA.half * np.sum(plain)
-        found = unsigned if together else [c for c, own in zip(unsigned, alone, strict=True) if own]
-        if not found:
-            return
-        names = tuple(scene.channels[c] for c in found)
-        share = 100.0 * np.mean(scene.simulated[:, found] < 0.0)
-        what = f"{', '.join(names)}: never negative; the simulation, whose absolute value fits, is in {share:.0f} % of the rows"
-        todo = "log the value with its sign: the size alone, of a current or a force, does not say which way it acts"
+        says, todo = LOST[least]
+        names, x = tuple(scene.channels[c] for c in found[least]), scene.simulated[:, found[least]]
+        share = 100.0 * np.mean((x < 0.0) & (x > least))
+        what = f"{', '.join(names)}: {says}; the simulation, whose size fits, is in {share:.0f} % of the rows"
         yield Remark(self.KEY, what, todo, names, Action.REFUSED)
+
+
+def _folded(seen: Observations, scene: Scene, least: float) -> list[int]:
+    """Return the channels that have no reading between a number and zero, and follow a simulation that is folded there."""
+    readings = [seen.columns[name] for name in scene.channels]
+    never = [c for c, y in enumerate(readings) if not np.any((y < 0.0) & (y > least))]
+    x, y = scene.simulated[:, never], scene.measured[:, never]
+    inside = (x < 0.0) & (x > least)
+    folded, plain = (np.sum((y - one) ** 2, axis=0) for one in (np.where(inside, -x, x), x))
+    alone = (folded < CRITERIA.gross_gain * plain) & (np.mean(inside, axis=0) > CRITERIA.gross_left)
+    # All that a joint's motor does has both signs in a motion, whatever it bears: where none has, one load is enough to tell.
+    if len(never) == len(scene.channels) > 1 and np.sum(folded) < CRITERIA.half * np.sum(plain):
+        return never
+    found = {c for c, own in zip(never, alone, strict=True) if own}
+    # Readings on both sides of a gap show it by themselves.
+    both = {
+        c
+        for c in never
+        if np.sum(readings[c] <= least) > FEWEST < np.sum((readings[c] >= 0.0) & (readings[c] < -least))
+    }
+    return sorted(found | both) if found else []

@@ -44,7 +44,10 @@ def contacts(
     if N < FEW_ROWS or (not scene.clock and scene.observations.predict in ("pose", "targets")):
         return []
     away = residual - np.median(residual, axis=0)
-    away = away / np.maximum(1.4826 * np.median(np.abs(away), axis=0), 1e-300)
+    usual = 1.4826 * np.median(np.abs(away), axis=0)
+    # A rounded reading that stands most of the time has no usual level.
+    usual = np.where(usual > 0.0, usual, np.std(away, axis=0))
+    away = away / np.where(usual > 0.0, usual, np.inf)
     out: dict[Contact, Sought] = {}
     for share in shares:
         length = max(int(share * N), 5)

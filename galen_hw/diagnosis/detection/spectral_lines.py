@@ -105,11 +105,15 @@ def _above_motion(scene: Scene, rows: Rows, pad: int, n: int) -> int:
     return max(least, int(2.0 * reach * pad / len(x)))
 
 
-def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
+def ripples(scene: Scene, residual: Array, rows: Rows, rounding: Array) -> list[Sought]:
     """Return for every joint's own channel the wave number at which a sine of the joint's position fits best.
 
     A period is longer than two steps of the position's reading: finer ones are aliases of its rounding (most of all for a
-    standing arm, whose joints move by a few steps). It is longer than two rows of a joint that moves, too.
+    standing arm, whose joints move by a few steps). It is longer than two rows of a joint that moves, too. A sine that is no
+    larger than what a rounded reading has of its own signal is none.
+
+    Args:
+        rounding: (C,) variance of a channel's rounding error that follows its signal.
     """
     if scene.observations.predict not in TorqueRipple.PREDICTS:
         return []
@@ -129,6 +133,8 @@ def ripples(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
         numbers, power = _spectrum_over(q, residual[:, c] - residual[:, c].mean(), highest)
         if len(numbers):
             best = float(numbers[int(np.argmax(power))])
+            if 2.0 * float(power.max()) / len(q) ** 2 <= rounding[c]:
+                continue
             out.append(Sought(TorqueRipple(joint, best, scene.observations.predict), len(numbers)))
     return out
 

@@ -45,7 +45,9 @@ def estimate(
     # The variance is the integral of the bands, so that sigma contains the slow part too, as far as it was measured.
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
     total = np.sqrt(np.mean(noise.spectrum(f), axis=0))
-    return Noise(rows, edges, levels, total, float(freedom.sum()), correlation, steps)
+    # A reading is off by its rounding, however little it changes where the machine stands most of the time.
+    least = np.maximum(steps / np.sqrt(12.0 * rows.stride) / total, 1.0)
+    return Noise(rows, edges, levels * least**2, total * least, float(freedom.sum()), correlation, steps)
 
 
 def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *, surely: float = 2.5) -> Array:
@@ -130,15 +132,19 @@ def _filled(level: Array, edges: Array) -> Array:
 
 
 def quantisation(y: Array) -> Array:
-    """Return the quantisation step (C,) of readings (N, C), 0 where they are not on a grid."""
+    """Return the quantisation step (C,) of readings (N, C), 0 where they are not on a grid.
+
+    The step is what the smallest distances of readings are; nearly all distances are whole numbers of it. Readings that are all
+    different have the step of the digits that they were written with.
+    """
     out = np.zeros(y.shape[1])
     for c in range(y.shape[1]):
         values = np.unique(y[np.isfinite(y[:, c]), c])
-        if len(values) < 3 or len(values) > 0.2 * len(y):
+        if len(values) < 3:
             continue
         gaps = np.diff(values)
-        step = float(np.median(gaps[gaps <= np.quantile(gaps, 0.5)]))
+        step = float(np.median(gaps[gaps < 1.5 * np.quantile(gaps, 0.01)]))
         ratio = gaps / step
-        if step > 0 and np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > 0.9 and np.mean(np.round(ratio) == 1) > 0.3:
+        if np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > 0.9:
             out[c] = step
     return out

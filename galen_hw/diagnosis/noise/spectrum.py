@@ -17,6 +17,24 @@ from galen_hw.diagnosis.stats.sampling import Mask, Rows
 from galen_hw.lazy import cached_property
 from galen_hw.spatial import Array
 
+FOLLOWED = 0.2
+"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
+
+
+def followed(steps: Array, sigma: Array) -> Array:
+    """Return the variance (C,) of the part of a rounding error that follows its signal.
+
+    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
+    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
+
+    Args:
+        steps: (C,) of the readings; sigma: (C,) standard deviation with the rounding.
+    """
+    square, k = steps**2, np.arange(1, 6)[:, None]
+    own = np.maximum(sigma**2 - square / 12.0, 0.0) / np.where(square > 0.0, square, 1.0)
+    blurred = square / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2, axis=0)
+    return np.asarray(np.minimum(FOLLOWED * square / 12.0, blurred))
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -61,6 +79,11 @@ class Noise:
     def lines(self) -> Array:
         """Number of spectral lines (B,) in each band."""
         return np.asarray(sum(self._lengths) * np.diff(self.edges))
+
+    @property
+    def followed_rounding(self) -> Array:
+        """Variance (C,) of the part of each channel's rounding error that follows its signal, which is no physics."""
+        return followed(self.steps, self.sigma)
 
     @property
     def _lengths(self) -> list[int]:

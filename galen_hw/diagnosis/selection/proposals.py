@@ -40,7 +40,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     return (
         found
         + spectral_lines.lines(bench.scene, residual, bench.rows, known_lines)
-        + spectral_lines.ripples(bench.scene, residual, bench.rows)
+        + spectral_lines.ripples(bench.scene, residual, bench.rows, bench.noise.followed_rounding)
     )
 
 

@@ -133,32 +133,13 @@ def _loudest(x: Array, least: float) -> Array:
 
 def strong(structures: list[Structure], judged: Judged, bench: Bench) -> list[Structure]:
     """Return the structures that are large beside the first error, the noise and the rounding."""
-    out = []
+    out, rounding = [], bench.noise.followed_rounding
     for one in structures:
         noise = float(bench.noise.sigma[one.channel] ** 2)
         before = max(float(judged.before[one.channel]) - noise, noise)
-        rounding = _followed(float(bench.steps[one.channel]), float(bench.noise.sigma[one.channel]))
-        if one.size**2 > max(CRITERIA.least_share * before, rounding):
+        if one.size**2 > max(CRITERIA.least_share * before, float(rounding[one.channel])):
             out.append(one)
     return out
-
-
-FOLLOWED = 0.2
-"""Share of the rounding's variance that smooth functions of a signal can follow where no noise blurs it."""
-
-
-def _followed(step: float, sigma: float) -> float:
-    """Return the variance of the part of a rounding error that follows its signal, which is no physics.
-
-    Noise of s before the rounding blurs it to step^2 / (2 pi^2) sum_k exp(-(2 pi k s / step)^2) / k^2 (Widrow and Kollar,
-    Quantization Noise, 2008, ch. 6: the characteristic function at multiples of 2 pi / step).
-    """
-    if step <= 0.0:
-        return 0.0
-    k = np.arange(1, 6)
-    own = max(sigma**2 - step**2 / 12.0, 0.0) / step**2
-    blurred = step**2 / (2.0 * np.pi**2) * np.sum(np.exp(-((2.0 * np.pi * k) ** 2) * own) / k**2)
-    return float(min(FOLLOWED * step**2 / 12.0, blurred))
 
 
 def verdict_of(findings: list[Finding], residual: list[Structure], screening: Screening) -> Verdict:
