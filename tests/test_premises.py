@@ -648,3 +648,25 @@ def test_positions_in_another_unit_than_their_simulation_are_repaired(unit, fact
     assert keys(found) == ["position_units"]
     assert f"in {unit}" in found.remarks[0].what
     assert found.observations.columns["joint.a.velocity"] == pytest.approx(columns["joint.a.velocity"])
+
+
+@pytest.mark.parametrize("make", [static, moving])
+@pytest.mark.parametrize("named", [True, False])
+def test_a_force_in_the_torques_columns_is_put_right(make: Callable[[], Columns], *, named: bool):
+    """The order of spatial vectors: the moment first."""
+    original = make()
+    f, t = matrix(original, FORCE), matrix(original, TORQUE)
+    found = examined(seen(original | dict(zip(FORCE + TORQUE, (*t.T, *f.T), strict=True)), named=named))
+    assert keys(found) == ["wrench_frames"]
+    assert "force and torque are exchanged" in found.remarks[0].what
+    assert np.array_equal(matrix(dict(found.observations.columns), FORCE), f)
+
+
+@pytest.mark.parametrize(("rows", "of"), [(1, "before"), (-1, "after")])
+def test_a_wrench_beside_the_next_pose_is_refused(rows: int, of: str):
+    """Two lists of which one begins at 0 and the other at 1."""
+    original = static()
+    wrench = np.roll(matrix(original, FORCE + TORQUE), rows, axis=0)
+    found = examined(seen(original | dict(zip(FORCE + TORQUE, wrench.T, strict=True))))
+    assert [r.action for r in found.remarks] == [Action.REFUSED]
+    assert f"each row's wrench is that of the pose {of}" in found.remarks[0].what

@@ -17,12 +17,12 @@ def motion(n: int = 2000) -> tuple[np.ndarray, np.ndarray]:
     return t, 0.8 * np.stack(way, axis=1)
 
 
-def efforts(q: np.ndarray, t: np.ndarray, friction: float = 0.0) -> Observations:
+def efforts(q: np.ndarray, t: np.ndarray, friction: float = 0.0, noise: float = 0.02) -> Observations:
     """Efforts of the arm in a motion (n, 4), with the positions that the log has."""
-    machine = arm().under(G)
+    machine = arm(load=0.8).under(G)
     dq = np.gradient(q, t, axis=0)
     moved = machine.inverse_dynamics(q, dq, np.gradient(dq, t, axis=0)) + friction * np.tanh(dq / 0.02)
-    moved += 0.02 * np.random.default_rng(3).normal(size=moved.shape)
+    moved += noise * np.random.default_rng(3).normal(size=moved.shape)
     columns = {"time": t}
     for k, name in enumerate(machine.joint_names):
         columns |= {f"joint.{name}.position": q[:, k], f"joint.{name}.effort": moved[:, k]}
@@ -115,7 +115,7 @@ def test_one_joint_in_degrees_is_put_right(joint: int) -> None:
     t, q = motion()
     q = q.copy()
     q[:, joint] = 0.02 + 0.02 * np.sin(0.9 * t)
-    seen = efforts(q, t)
+    seen = efforts(q, t, noise=0.002)
     name = f"joint.{seen.joint_names[joint]}.position"
     found = examined(Observations("effort", dict(seen.columns) | {name: np.degrees(q[:, joint])}, None, seen.belief))
     (remark,) = found.remarks
@@ -123,3 +123,30 @@ def test_one_joint_in_degrees_is_put_right(joint: int) -> None:
     assert remark.columns == (name,)
     assert "degrees" in remark.what
     assert found.observations.columns[name] == pytest.approx(q[:, joint], abs=1e-9)
+
+
+@pytest.mark.parametrize("rate", [0.8, 1.25, 2.0])
+def test_stamps_of_a_nominal_rate_are_told_by_what_accelerates(rate: float) -> None:
+    """Gravity is right, and every joint needs the same share of the model's effort to move; friction stays out of it."""
+    t, _ = motion()
+    smooth = 0.8 * np.stack([np.sin((1.4 + 0.23 * k) * t + k) for k in range(4)], axis=1)
+    seen = efforts(smooth, t, friction=0.3, noise=0.005)
+    assert not examined(seen).remarks
+    found = examined(Observations("effort", dict(seen.columns) | {"time": rate * t}, None, seen.belief))
+    (remark,) = found.refused
+    assert remark.premise == "motion_forces"
+    said = float(remark.what.split("stamps should be ")[1].split()[0])
+    assert said == pytest.approx(1.0 / rate, rel=0.01)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_efforts_in_their_neighbours_columns_are_refused(way: int) -> None:
+    """A gripper's came first, or the first was left out."""
+    seen = efforts(*motion()[::-1], noise=0.005)
+    names = [f"joint.{name}.effort" for name in seen.joint_names]
+    moved = dict(zip(names, np.roll(seen.matrix(*names), way, axis=1).T, strict=True))
+    lost = names[0] if way > 0 else names[-1]
+    moved[lost] = 0.31 + 0.005 * np.random.default_rng(5).normal(size=len(seen))
+    found = examined(Observations("effort", dict(seen.columns) | moved, None, seen.belief))
+    assert "shifted by a column" in found.refused[-1].what
+    assert found.refused[-1].premise == "joint_reading"

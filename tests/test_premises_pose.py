@@ -349,3 +349,43 @@ def test_three_numbers_that_were_read_by_another_convention_are_named(written: s
     assert found.remarks[0].what in [f"the pose's orientation is {a} that was read as {b}" for a, b in pairs]
     columns |= dict(zip(QUATERNION, body.as_quat().T, strict=True))
     assert not examined(Observations("pose", columns, None, belief)).remarks
+
+
+@pytest.mark.parametrize(("make", "predict", "names"), [(pose, "pose", POSITION), (targets, "targets", None)])
+@pytest.mark.parametrize("row", [60, 200])
+def test_a_tracker_that_was_moved_is_named_with_its_row(make, predict: str, names: list[str] | None, row: int):
+    """Bumped by half a degree and some millimetres: told to a row or two, and brought back."""
+    original = make()
+    names = names or [n for n in original if n.startswith("target.")]
+    G, shift = Rotation.from_rotvec([0.004, -0.006, 0.005]), np.array([0.003, -0.002, 0.004])
+    columns = dict(original)
+    points = matrix(original, names)[row:].reshape(-1, 3)
+    values = matrix(original, names)
+    values[row:] = (G.apply(points) + shift).reshape(-1, len(names))
+    columns |= dict(zip(names, values.T, strict=True))
+    if predict == "pose":
+        q = matrix(original, QUATERNION)
+        q[row:] = (G * Rotation.from_quat(q[row:])).as_quat()
+        columns |= dict(zip(QUATERNION, q.T, strict=True))
+    found = examined(seen(columns, predict))
+    (remark,) = found.remarks
+    assert (remark.premise, remark.action) == ("moved_tracker", Action.REPAIRED)
+    said = int(remark.what.split("row ")[1].split()[0])
+    assert abs(said - 1 - row) <= 2
+    assert np.max(np.abs(matrix(dict(found.observations.columns), names) - matrix(original, names))) < 1e-3
+    if predict == "pose":
+        same_as(found, original, 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["ramp", "noise", "bend"])
+def test_a_frame_that_moves_slowly_or_an_arm_that_bends_was_not_moved(kind: str):
+    """Nothing is brought back."""
+    original, rng = pose(), np.random.default_rng(4)
+    n = len(original["time"])
+    error = {
+        "ramp": np.linspace(0.0, 0.006, n)[:, None] * np.array([1.0, -0.5, 0.3]),
+        "noise": 0.002 * rng.normal(size=(n, 3)),
+        "bend": 0.004 * np.sign(np.sin(0.6 * original["time"] + 0.5))[:, None] * np.array([0.2, 0.1, 1.0]),
+    }[kind]
+    columns = original | dict(zip(POSITION, (matrix(original, POSITION) + error).T, strict=True))
+    assert not examined(seen(columns)).remarks

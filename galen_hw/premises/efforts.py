@@ -99,6 +99,67 @@ class EffortGravity:
         yield Remark(self.KEY, what, "", efforts.scene.channels, Action.REPAIRED, repaired)
 
 
+class MotionForces:
+    """Tests that forces of acceleration are those of the clock and the inertias: gravity's tell that the efforts are right."""
+
+    KEY: ClassVar[str] = "motion_forces"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a refusal where in all joints what accelerates them is one share of the model's, and gravity is the model's.
+
+        Stamps that are k times too near give accelerations k^2 times too large, in every joint.
+        """
+        efforts = Efforts.of(seen)
+        port = None if efforts is None else efforts.scene.gravity_port()
+        if efforts is None or port is None or not efforts.scene.belief.dynamic:
+            return
+        scene = efforts.scene
+        weight = port @ seen.belief.gravity
+        parts = np.stack([scene.simulated - weight, weight], axis=-1)
+        each = [found for c in range(len(scene.channels)) if (found := self._shares(efforts, parts, c)) is not None]
+        if len(each) < 2:
+            return
+        shares, errors = (np.array(x) for x in zip(*each, strict=True))
+        share = float(np.average(shares[:, 0], weights=errors[:, 0] ** -2.0))
+        both = np.array([share, 1.0])
+        off = np.abs(shares - both) > np.maximum(CRITERIA.paired_errors * errors, CRITERIA.gross_left * both)
+        if off.any() or share <= 0.0 or abs(np.log(share)) < CRITERIA.least_turn:
+            return
+        left, plain = efforts.unexplained(parts @ both), efforts.unexplained(scene.simulated)
+        if left > min(CRITERIA.gross_left, CRITERIA.gross_gain * plain):
+            return
+        what = (
+            f"what accelerates {len(each)} joints takes {share:.3g} times the model's effort in each, and gravity the model's: "
+            f"stamps should be {share**-0.5:.3g} times as far apart, or all inertias of the model are wrong"
+        )
+        todo = "write measured stamps, not rows times a nominal period; if they are right, mend the model's inertias"
+        yield Remark(self.KEY, what, todo, ("time",), Action.REFUSED)
+
+    def _shares(self, efforts: Efforts, parts: Array, c: int) -> tuple[Array, Array] | None:
+        """Return the shares (2,) of motion and gravity in a channel and their standard errors; None where it tells neither.
+
+        Args:
+            parts: (N, C, 2) efforts of the motion and of gravity.
+        """
+        Q, y = efforts.beside[c], efforts.scene.measured[:, c]
+        X, y = (x - Q @ (Q.T @ x) for x in (parts[:, c], y))
+        pieces = [part for part in np.array_split(np.arange(len(y)), CRITERIA.pieces) if len(part)]
+        normal = np.array([X[part].T @ X[part] for part in pieces])
+        size = np.sqrt(np.diag(normal.sum(axis=0)))
+        if (
+            np.any(size <= 0.0)
+            or np.linalg.cond(normal.sum(axis=0) / np.outer(size, size)) > 1.0 / CRITERIA.small_turn**2
+        ):
+            return None
+        inverse = np.linalg.inv(normal.sum(axis=0))
+        share = inverse @ (X.T @ y)
+        # What is left wanders: each piece is one piece of luck.
+        score = np.array([X[part].T @ (y[part] - X[part] @ share) for part in pieces])
+        error = np.sqrt(np.diag(inverse @ (score.T @ score) @ inverse))
+        return (share, error) if np.all(error < CRITERIA.gross_left * np.abs(share)) else None
+
+
 @dataclass(frozen=True)
 class OtherGravity:
     """The gravity that explains efforts best.

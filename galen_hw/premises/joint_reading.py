@@ -30,9 +30,11 @@ OWN: Mapping[str, tuple[str, ...]] = {
 Rates = tuple[Array, Array] | None
 SIGN: Final = "the opposite sign of the model's"
 SWAPPED: Final = "swapped"
+SHIFTED: Final = "shifted by a column, so that each joint has its neighbour's"
 COUPLED: Final = "those of two motors that drive both joints, as in a differential"
 REFUSED: Final = {
     SWAPPED: ("the two exchanged", "give each joint its own column"),
+    SHIFTED: ("each read from the next column", "begin the list of joints where that of the columns begins"),
     COUPLED: ("their sum and difference", "give the efforts of the joints themselves"),
 }
 """What is refused: as what it was read instead, and what to do."""
@@ -177,6 +179,8 @@ def _tries(some: Observations) -> Iterator[_Try]:
             yield _Try(kind, pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED)
         for pair in combinations(joints, 2):
             yield _Try(kind, pair, ((-1.0, 0.0), (0.0, -1.0)))
+        if len(joints) > 2:
+            yield from _shifted(kind, joints)
         if kind == "effort":
             yield from _coupled(joints)
 
@@ -202,6 +206,13 @@ def _linked(joints: Sequence[str]) -> Iterator[_Try]:
         for sign, way in ((1.0, "added to"), (-1.0, "taken off")):
             says = f"a coupling, as J2 and J3 of a pendant: the first is {way} the second"
             yield _Try("position", pair, ((1.0, 0.0), (sign, 1.0)), says=says)
+
+
+def _shifted(kind: str, joints: Sequence[str]) -> Iterator[_Try]:
+    """Yield columns of all joints that began one too early or too late: another device's came first, or one was left out."""
+    for way in (1, -1):
+        mix = np.roll(np.eye(len(joints)), way, axis=1)
+        yield _Try(kind, tuple(joints), tuple(map(tuple, mix.tolist())), says=SHIFTED)
 
 
 def _coupled(joints: Sequence[str]) -> Iterator[_Try]:

@@ -57,8 +57,13 @@ def _folded(seen: Observations, scene: Scene, least: float) -> list[int]:
     never = [c for c, y in enumerate(readings) if not np.any((y < 0.0) & (y > least))]
     x, y = scene.simulated[:, never], scene.measured[:, never]
     inside = (x < 0.0) & (x > least)
-    folded, plain = (np.sum((y - one) ** 2, axis=0) for one in (np.where(inside, -x, x), x))
-    alone = (folded < CRITERIA.gross_gain * plain) & (np.mean(inside, axis=0) > CRITERIA.gross_left)
+    # A constant may lift all readings above zero; a fold is at zero itself.
+    folded, plain = (
+        np.sum((y - np.where(inside, -x, x)) ** 2, axis=0),
+        np.sum((y - x - np.mean(y - x, axis=0)) ** 2, axis=0),
+    )
+    crosses = np.minimum(np.mean(inside, axis=0), np.mean(x > 0.0, axis=0)) > CRITERIA.gross_left
+    alone = (folded < CRITERIA.gross_gain * plain) & crosses
     # All that a joint's motor does has both signs in a motion, whatever it bears: where none has, one load is enough to tell.
     if len(never) == len(scene.channels) > 1 and np.sum(folded) < CRITERIA.half * np.sum(plain):
         return never

@@ -141,7 +141,7 @@ class PoseFrames:
             seen = with_matrix(seen, QUATERNION, other_quaternions(seen.matrix(*QUATERNION))[best])
             yield Remark(self.KEY, f"the pose's quaternions {best}", "", QUATERNION, Action.REPAIRED, seen)
             turn, left = misses[best]
-        elif left >= 0.25 * spread:
+        elif left >= 0.25 * spread and self._placed(some):
             says, rest = misread(expected, rotation_from_quaternion(q))
             if rest < CRITERIA.gross_left * left:
                 todo = "convert the orientation again, or leave its columns out and compare the position"
@@ -149,6 +149,10 @@ class PoseFrames:
                 return
         if angle_of(turn) > CRITERIA.least_turn and left < 0.25 * spread:
             yield self._flange(seen, turn)
+
+    def _placed(self, some: Observations) -> bool:
+        """Return whether the position is the arm's: else a joint may be what is read otherwise, not the orientation."""
+        return scaled(scene_of(some).simulated[:, :3], some.matrix(*POSITION)).unexplained <= CRITERIA.small_turn
 
     def _flange(self, seen: Observations, turn: Array) -> Remark:
         """Return the repair and the claim of a tracked body that sits turned on its flange by (3, 3), exactly."""

@@ -57,9 +57,14 @@ class WrenchFrames:
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield at most one remark on force and torque together."""
+        """Yield at most one remark on force and torque together, behind one on exchanged columns or shifted rows."""
         if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
+        for elsewhere in _elsewhere(seen):
+            yield elsewhere
+            if elsewhere.repaired is None:
+                return
+            seen = elsewhere.repaired
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
         named = (
             found is not None and np.array_equal(found.Q, IDENTITY) and found.kind == "plain" and not found.reading.says
@@ -157,6 +162,47 @@ class WrenchFrames:
         claim = mounting_claim(turn, "turn" if tool_turns else "turn_alone", (*FORCE, *TORQUE))
         todo = "turn the sensor's link in the robot's model by it"
         return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
+
+
+def _elsewhere(seen: Observations) -> Iterator[Remark]:
+    """Yield at most one remark on a force that stands in the torque's columns, or, of poses, in another pose's row."""
+    some = at_rest(comparable(seen, CRITERIA.most_rows))
+    if len(some) < CRITERIA.fewest_vectors:
+        return
+    named = next(iter(readings(some)))
+    least = min(CRITERIA.gross_left, CRITERIA.gross_gain * named.plain.unexplained)
+    if named.plain.rank < 2 or named.plain.unexplained <= CRITERIA.gross_left:
+        return
+
+    def meets(other: Observations) -> bool:
+        one = next(iter(readings(other)))
+        return (
+            one.plain.unexplained <= least
+            and _is_named(one.plain.Q)
+            and _weighs(_Found(one, IDENTITY, one.plain.unexplained, "plain"))
+        )
+
+    if meets(_exchanged(some)):
+        what = "force and torque are exchanged: the columns of the torque hold the weight"
+        yield Remark(WrenchFrames.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, _exchanged(seen))
+    elif seen.time is None:
+        for shift, of in ((1, "before"), (-1, "after")):
+            if meets(_shifted(at_rest(comparable(seen)), shift)):
+                what = f"each row's wrench is that of the pose {of}: two lists were joined of which one begins a pose earlier"
+                todo = "join them again, by numbers that begin alike"
+                yield Remark(WrenchFrames.KEY, what, todo, (*FORCE, *TORQUE), Action.REFUSED)
+
+
+def _exchanged(seen: Observations) -> Observations:
+    """Return the recording with the columns of force and torque exchanged."""
+    return with_matrix(seen, (*FORCE, *TORQUE), seen.matrix(*TORQUE, *FORCE))
+
+
+def _shifted(seen: Observations, rows: int) -> Observations:
+    """Return the recording with the wrench of so many rows further on (negative: back), without the rows that lack one."""
+    wrench = np.roll(seen.matrix(*FORCE, *TORQUE), -rows, axis=0)
+    there = slice(0, -rows) if rows > 0 else slice(-rows, None)
+    return with_matrix(seen, (*FORCE, *TORQUE), wrench).taken(there)
 
 
 def _is_named(Q: Array) -> bool:
