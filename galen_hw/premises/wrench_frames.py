@@ -320,10 +320,13 @@ def _about_tip(seen: Observations) -> bool:
     """Return whether the moments are those of the named tool about its tip: nearly all that is missed about the origin."""
     if not _tool_known(seen) or not np.any(seen.belief.tip):
         return False
-    expected, origin = scene_of(seen).simulated[:, 3:], seen.matrix(*TORQUE)
-    named = _unexplained(expected, origin)
-    tip = _unexplained(expected, _about_origin(seen).matrix(*TORQUE))
-    return tip <= min(CRITERIA.small_turn, CRITERIA.gross_gain * named)
+    expected, torque = scene_of(seen).simulated[:, 3:], seen.matrix(*TORQUE)
+    # In N m, and of the named size: a lever that is added explains a larger share of what it makes larger itself.
+    named, tip, whole = (
+        float(np.sum((x - x.mean(axis=0)) ** 2))
+        for x in (torque - expected, _about_origin(seen).matrix(*TORQUE) - expected, torque)
+    )
+    return tip <= min(CRITERIA.small_turn * whole, CRITERIA.gross_gain * named)
 
 
 def _about_origin(seen: Observations) -> Observations:
