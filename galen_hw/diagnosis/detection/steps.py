@@ -10,7 +10,7 @@ from scipy.fft import dct, fft, idct
 from galen_hw.diagnosis.detection.proposal import FEW_ROWS, SHARED, Sought, moment, slow_spread
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.sampling import Rows
-from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.base import LOADS, Effect
 from galen_hw.physics.effects.events import Step
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.scenes.base import Scene
@@ -189,10 +189,10 @@ def slips(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
 def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
     """Return the moment at which another load explains most of the residual (M, C): a part picked up, or one that slips.
 
-    The free offsets of the channels take their part of it.
+    The free offsets of the channels take their part of it. A push on an arm that stands is as a load on its motors: it has to
+    explain more than another offset of every motor does there.
     """
-    # The efforts of a pushed arm look like those of a load.
-    port = scene.body_port() if scene.clock and scene.observations.predict == "wrench" else None
+    port = scene.body_port() if scene.clock and scene.observations.predict in LOADS else None
     if port is None or len(residual) < FEW_ROWS:
         return []
     out = []
@@ -200,7 +200,11 @@ def loads(scene: Scene, residual: Array, rows: Rows) -> list[Sought]:
         X, r = _normalised(rows.average(port[:, :, body]), residual)
         A, b, moments = _products_after(X, r)
         sums = np.cumsum(X[::-1], axis=0)[::-1][moments]
-        when = _best_moment(scene, A - np.einsum("mck,mcl->mkl", sums, sums) / len(residual), b, moments, rows)
+        gains = _load_gains(A - np.einsum("mck,mcl->mkl", sums, sums) / len(residual), b)
+        best = int(np.argmax(gains))
+        if scene.observations.predict == "effort" and gains[best] <= np.max(np.sum(_white_jumps(r), axis=1)):
+            continue
+        when = moment(scene, rows, int(moments[best]))
         out.append(Sought(Payload(part, since=when), places_of(len(residual))))
     return out
 
@@ -226,6 +230,10 @@ def _products_after(X: Array, residual: Array, *, count: int = 400) -> tuple[Arr
 
 
 def _best_moment(scene: Scene, free: Array, b: Array, moments: Array, rows: Rows) -> float:
-    """Return the moment, s, with the largest gain b A^-1 b of squares A (m, k, k) and products b (m, k)."""
-    gain = np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b)
-    return moment(scene, rows, int(moments[int(np.argmax(gain))]))
+    """Return the moment, s, with the largest gain, see `_load_gains`."""
+    return moment(scene, rows, int(moments[int(np.argmax(_load_gains(free, b)))]))
+
+
+def _load_gains(free: Array, b: Array) -> Array:
+    """Return the gains b A^-1 b (m,) of squares A (m, k, k) and products b (m, k)."""
+    return np.asarray(np.einsum("mk,mkl,ml->m", b, np.linalg.pinv(free, rcond=1e-6, hermitian=True), b))

@@ -55,4 +55,5 @@ def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     residual = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, residual, bench.rows)
     found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)
+    found += steps.loads(bench.scene, residual, bench.rows)
     return found + steps.steps(bench.scene, residual, bench.rows)[:-1]
