@@ -377,13 +377,14 @@ def test_a_tracker_that_was_moved_is_named_with_its_row(make, predict: str, name
         same_as(found, original, 1e-3)
 
 
-@pytest.mark.parametrize("kind", ["ramp", "noise", "bend"])
+@pytest.mark.parametrize("kind", ["ramp", "noise", "bend", "shift"])
 def test_a_frame_that_moves_slowly_or_an_arm_that_bends_was_not_moved(kind: str):
-    """Nothing is brought back."""
+    """Nothing is brought back; a shift alone is a step of the readings."""
     original, rng = pose(), np.random.default_rng(4)
     n = len(original["time"])
     error = {
         "ramp": np.linspace(0.0, 0.006, n)[:, None] * np.array([1.0, -0.5, 0.3]),
+        "shift": (np.arange(n) > 120)[:, None] * np.array([0.0, 0.006, 0.0]),
         "noise": 0.002 * rng.normal(size=(n, 3)),
         "bend": 0.004 * np.sign(np.sin(0.6 * original["time"] + 0.5))[:, None] * np.array([0.2, 0.1, 1.0]),
     }[kind]

@@ -1,10 +1,11 @@
 """A tracker that was moved, or a base: from some row on all that is tracked lies elsewhere, by one turn and one shift."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
@@ -33,7 +34,7 @@ class _Frame:
 class MovedTracker:
     """Tests whether one turn and one shift of the frame, from some row on, are nearly all that tracked points are off by.
 
-    A frame that moves slowly, or an arm that bends, leaves far more.
+    A frame that moves slowly, or an arm that bends, leaves far more. A shift alone is a step of the readings, and the search's.
     """
 
     KEY: ClassVar[str] = "moved_tracker"
@@ -54,8 +55,11 @@ class MovedTracker:
         k = points.moment()
         if k is None:
             return
+        points = points.placed(k)
         before, after = points.frames(k)
         turn = before.R @ after.R.T
+        if points.shifted_alone(k, before, after):
+            return
         later = np.arange(len(seen)) >= rows[k]
         values = seen.matrix(*names)
         back = (values[later].reshape(-1, 3) - after.t) @ turn.T + before.t
@@ -67,9 +71,8 @@ class MovedTracker:
             q[known] = quaternion_from_rotation(turn @ rotation_from_quaternion(q[known]))
             repaired = with_matrix(repaired, QUATERNION, q)
         where = f"row {rows[k] + 1}" if seen.time is None else f"row {rows[k] + 1} ({seen.time[rows[k]]:.5g} s)"
-        away = float(
-            np.linalg.norm(np.mean(values[later].reshape(-1, 3) - seen.matrix(*names)[later].reshape(-1, 3), axis=0))
-        )
+        moved = values[later].reshape(-1, 3) - seen.matrix(*names)[later].reshape(-1, 3)
+        away = float(np.linalg.norm(np.nanmean(moved, axis=0)))
         what = (
             f"from {where} on all that is tracked lies elsewhere: turned by {as_turn(turn.T)} and {1e3 * away:.3g} mm away on "
             "average: the tracker or the base was moved; brought back to the frame before"
@@ -97,60 +100,80 @@ class _Points:
         carried = scene.registration[0] @ scene.T_sensor[:, :3, :3] if isinstance(scene, TargetsScene) else None
         return cls(scene.simulated[:, :width].reshape(n, -1, 3), measured.reshape(n, -1, 3), carried)
 
+    def some(self, rows: NDArray[np.intp]) -> "_Points":
+        """Return those of some rows."""
+        carried = None if self.carried is None else self.carried[rows]
+        return _Points(self.simulated[rows], self.measured[rows], carried)
+
     def moment(self) -> int | None:
         """Return the row from which on the points are in another frame than before; None where no row tells.
 
         Each frame is a small motion [v, w] of simulated points p, v + w x p; places on the body are the same in both. By least
-        squares, from sums up to each row.
+        squares, from sums up to each row of a few.
         """
-        n, size = len(self.simulated), self._own().shape[2]
-        some = np.unique(np.linspace(0, n - 1, min(n, CRITERIA.stretch)).astype(int))
-        A, r = self._frame()[some], (self.measured - self.simulated)[some].reshape(len(some), -1)
-        B, At = self._own()[some], np.swapaxes(A, 1, 2)
+        rows, fewest = _few(len(self.simulated)), CRITERIA.fewest_vectors
+        few = self.some(rows)
+        A, B, r = few.frame(), few.own(), (few.measured - few.simulated).reshape(len(rows), -1)
+        At, size = np.swapaxes(A, 1, 2), B.shape[2]
         G, C, b = (np.cumsum(x, axis=0) for x in (At @ A, At @ B, At @ r[:, :, None]))
         D, d = np.einsum("nij,nik->jk", B, B), np.einsum("nij,ni->j", B, r)
-        square, fewest = float(np.sum(r**2)), CRITERIA.fewest_vectors
-        at = np.arange(fewest - 1, len(some) - fewest)
-        whole = np.zeros((len(at), 12 + size, 12 + size))
-        right = np.zeros((len(at), 12 + size))
+        at = np.arange(fewest - 1, len(rows) - fewest)
+        whole, right = np.zeros((len(at), 12 + size, 12 + size)), np.zeros((len(at), 12 + size))
         for place, sums in ((0, (G[at], C[at], b[at])), (6, (G[-1] - G[at], C[-1] - C[at], b[-1] - b[at]))):
-            own = slice(place, place + 6)
-            whole[:, own, own], whole[:, own, 12:], right[:, own] = sums[0], sums[1], sums[2][:, :, 0]
-            whole[:, 12:, own] = np.swapaxes(sums[1], 1, 2)
+            part = slice(place, place + 6)
+            whole[:, part, part], whole[:, part, 12:], right[:, part] = sums[0], sums[1], sums[2][:, :, 0]
+            whole[:, 12:, part] = np.swapaxes(sums[1], 1, 2)
         whole[:, 12:, 12:], right[:, 12:] = D, d
-        both = square - _explained(whole, right)
         one = np.block([[G[-1], C[-1]], [C[-1].T, D]])[None]
+        square = float(np.sum(r**2))
         plain = square - float(_explained(one, np.concatenate([b[-1][:, 0], d])[None])[0])
+        both = square - _explained(whole, right)
         best = int(np.argmin(both))
         if both[best] > CRITERIA.gross_left * plain:
             return None
-        first, last = some[at[best]], some[at[best] + 1]
-        before, after = self.frames(last)
+        first, last = rows[at[best]], rows[at[best] + 1]
+        there = self.placed(last)
+        before, after = there.frames(last)
         # Between two rows that were looked at: behind the last one that lies nearer to the frame before.
-        p, y = self.simulated[first:last], self.measured[first:last]
+        p, y = there.simulated[first:last], self.measured[first:last]
         off = [np.sum((y - p @ f.R.T - f.t) ** 2, axis=(1, 2)) for f in (before, after)]
         return int(first + 1 + np.sum(off[0][1:] < off[1][1:]))
 
+    def placed(self, k: int) -> "_Points":
+        """Return the points with their places on the body as they fit both frames, the second from row k on."""
+        if self.carried is None:
+            return self
+        rows = _few(len(self.simulated))
+        few, later = self.some(rows), (rows >= k)[:, None, None]
+        A, r = few.frame(), (few.measured - few.simulated).ravel()
+        X = np.concatenate([A * ~later, A * later, few.own()], axis=2).reshape(len(r), -1)
+        moved = np.linalg.lstsq(X, r, rcond=1e-9)[0][12:].reshape(-1, 3)
+        return replace(self, simulated=self.simulated + np.einsum("nij,kj->nki", self.carried, moved))
+
     def frames(self, k: int) -> tuple[_Frame, _Frame]:
         """Return the frames of the rows before k and from k on."""
-        p = self.simulated
-        if self.carried is not None:
-            A, B, r = self._frame(), self._own(), (self.measured - p).reshape(len(p), -1)
-            later = (np.arange(len(p)) >= k)[:, None, None]
-            X = np.concatenate([A * ~later, A * later, B], axis=2).reshape(r.size, -1)
-            moved = np.linalg.lstsq(X, r.ravel(), rcond=1e-9)[0][12:].reshape(-1, 3)
-            p = p + np.einsum("nij,kj->nki", self.carried, moved)
         parts = (slice(0, k), slice(k, None))
-        before, after = (_Frame.of(p[part].reshape(-1, 3), self.measured[part].reshape(-1, 3)) for part in parts)
+        before, after = (_Frame.of(self.simulated[x].reshape(-1, 3), self.measured[x].reshape(-1, 3)) for x in parts)
         return before, after
 
-    def _frame(self) -> Array:
+    def shifted_alone(self, k: int, before: _Frame, after: _Frame) -> bool:
+        """Return whether the turn of the frame, from row k on, moves the points by less than what both frames leave."""
+        parts = [
+            (self.simulated[part], self.measured[part], f)
+            for part, f in ((slice(0, k), before), (slice(k, None), after))
+        ]
+        left = sum(float(np.sum((y - p @ f.R.T - f.t) ** 2)) for p, y, f in parts)
+        p = self.simulated[k:].reshape(-1, 3)
+        turned = (p - p.mean(axis=0)) @ (after.R - before.R).T
+        return float(np.sum(turned**2)) <= left
+
+    def frame(self) -> Array:
         """Return how the points move with the frame, (N, 3 K, 6)."""
         n, count, _ = self.simulated.shape
         p = self.simulated.reshape(-1, 3)
         return np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(p)], axis=2).reshape(n, 3 * count, 6)
 
-    def _own(self) -> Array:
+    def own(self) -> Array:
         """Return how the points move with their places on the body, (N, 3 K, 3 K); (N, 3 K, 0) where these are known."""
         n, count, _ = self.simulated.shape
         if self.carried is None:
@@ -159,6 +182,11 @@ class _Points:
         for k in range(count):
             out[:, 3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = self.carried
         return out
+
+
+def _few(n: int) -> NDArray[np.intp]:
+    """Return so many of n rows as tell a moment, evenly chosen."""
+    return np.unique(np.linspace(0, n - 1, min(n, CRITERIA.stretch)).astype(np.intp))
 
 
 def _explained(normal: Array, right: Array) -> Array:
