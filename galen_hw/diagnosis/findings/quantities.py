@@ -87,7 +87,8 @@ def headline(finding: Finding, *, most: int = 3) -> str:
     parts, kind = _by_name(finding.parameters), effect_class(finding.effect)
     words = [_range(name, parts[name]) for name in _named(parts, kind.HEAD, most)]
     if MOMENT in parts and not kind.EPISODIC:
-        words.append(f"from {text(MOMENT, parts[MOMENT][0])} on")
+        moments = sorted(parts[MOMENT], key=lambda value: value.value)
+        words.append(f"{' and '.join(f'from {text(MOMENT, value)}' for value in moments[:most])} on")
     if kind.RMS_TOLD or not words:
         words += [f"{text(SIGNAL, value)} rms" for value in parts.get(SIGNAL, [])[:1]]
     return ", ".join(words)

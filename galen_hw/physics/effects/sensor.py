@@ -154,6 +154,11 @@ class CrossTalk(Effect):
                 if a != b and s > 0.0:
                     yield cls(a, b)
 
+    @property
+    def remark(self) -> str:
+        """A sentence on the other channel."""
+        return f"What leaks into {self.channel} is {self.source}."
+
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Return what it follows: the other channel's signal."""
         return Follows("signal", self.source)
