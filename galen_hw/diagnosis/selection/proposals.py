@@ -55,5 +55,7 @@ def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     residual = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, residual, bench.rows)
     found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)
-    found += steps.loads(bench.scene, residual, bench.rows)
+    if bench.scene.observations.predict == "effort":
+        # Of a wrench the premise `load_change` has asked before.
+        found += steps.loads(bench.scene, residual, bench.rows)
     return found + steps.steps(bench.scene, residual, bench.rows)[:-1]
