@@ -69,7 +69,7 @@ def test_json_has_the_specified_keys_and_nothing_that_json_cannot_say() -> None:
     answer = parts.diagnosed("late").diagnosis.to_json()
     assert set(answer) == KEYS
     assert set(answer["locate"]) == {"channels", "where", "when"}
-    assert set(answer["fit"]) == {"rmse_before", "rmse_after", "noise_floor", "ceiling"}
+    assert set(answer["fit"]) == {"rmse_before", "rmse_after", "noise_floor", "ceiling", "rows_averaged"}
     for finding in answer["findings"]:
         assert set(finding) == {"effect", "channels", "joints", "says", "parameters", "evidence", "confounded_with"}
         assert all(set(p) == {"value", "std", "unit"} for p in finding["parameters"].values())

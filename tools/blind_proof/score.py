@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from galen_hw.tools.blind_proof.generator.noise import averaged
+
 PREMISE_WORDS = re.compile(r"axes|axis|swap|sign|clock|delay|unit|degree|N mm|scale", re.IGNORECASE)
 
 
@@ -81,9 +83,14 @@ class Scored:
         noise = self.truth["holdout_noise_rms"]
         if self.verdict is None or not noise or not self.truth.get("second_run"):
             return None
+        # The tool judges means of neighbouring rows, in which the truth's noise is less as well.
+        rows = self.verdict["fit"].get("rows_averaged")
+        if rows is None:
+            return None
         touched = sorted({c for e in self.truth["effects"] for c in e["channels"]} or set(noise))
         after = by_names(self.verdict) if named else self.verdict["fit"]["rmse_after"]
-        ratios = [after[c] / noise[c] for c in touched if c in after]
+        kind = self.truth["noise"]
+        ratios = [after[c] / (noise[c] * averaged(kind, round(rows[c]))) for c in touched if c in after]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 

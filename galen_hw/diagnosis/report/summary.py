@@ -117,6 +117,8 @@ def _fit(d: Diagnosis) -> str:
         return "nothing was compared"
     name = max(before, key=lambda c: _ratio(before, floor, c) - _ratio(after, floor, c))
     judged = f"judged on {d.holdout or 'blocks set aside'}"
+    if (averaged := int(max(d.fit.get("rows_averaged", {}).values(), default=1.0))) > 1:
+        judged += f", on means of {averaged} rows"
     spread = sorted(_ratio(after, floor, c) for c in after if floor.get(c) or not any(floor.values()))
     middle, most = spread[len(spread) // 2], spread[-1]
     rest = f"{most:.2f} times the noise" if len(spread) == 1 else f"{middle:.2f} times the noise (worst {most:.2f})"

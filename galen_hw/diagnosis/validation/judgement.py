@@ -88,6 +88,7 @@ class Judged:
             "rmse_after": np.sqrt(after),
             "noise_floor": np.where(bench.without_data, 0.0, np.sqrt(self.floor)),
             "ceiling": np.sqrt(np.minimum(hoped, after)),
+            "rows_averaged": np.full(bench.width, bench.rows.stride),
         }
         return {k: {n: float(x) for n, x in zip(names, v, strict=True)} for k, v in values.items()}
 

@@ -33,3 +33,12 @@ def spectrum(cycles: Array, kind: str) -> Array:
     if kind != "coloured":
         return np.ones_like(cycles)
     return np.asarray(0.5 + 0.5 * (1 - POLE**2) / np.abs(1 - POLE * np.exp(-2j * np.pi * cycles)) ** 2)
+
+
+def averaged(kind: str, rows: int) -> float:
+    """Rms of means of so many neighbouring samples of that noise, over the rms of one."""
+    if kind != "coloured":
+        return float(rows**-0.5)
+    lags = np.arange(1, rows)
+    first_order = (rows + 2.0 * np.sum((rows - lags) * POLE**lags)) / rows**2
+    return float(np.sqrt(0.5 / rows + 0.5 * first_order))
