@@ -10,6 +10,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.wrench_reading import FORCE, TORQUE
 
 LOST: Final = {
     -np.inf: (
@@ -36,7 +37,8 @@ class Magnitudes:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield one refusal with all channels that have no sign; friction, of either sign, may be larger than a load."""
-        scene = compared(seen) if seen.predict in ("effort", "wrench") else None
+        whole = seen.predict == "effort" or (seen.predict == "wrench" and seen.has_all(*FORCE, *TORQUE))
+        scene = compared(seen) if whole else None
         if scene is None or len(scene) < FEWEST:
             return
         # Where both fit, as of torques below 1, what more channels say.
