@@ -21,6 +21,7 @@ pytest.importorskip("mujoco", reason="the generator needs MuJoCo: pip install mu
 
 from galen_hw.tools.blind_proof import judge, real, report, rivals, score, seal, tables
 from galen_hw.tools.blind_proof.generator import arm, build, galen, look_alikes, motion, signal, wrench
+from galen_hw.tools.blind_proof.generator import noise as noise_of
 from galen_hw.tools.blind_proof.generator.case import Case, Injected
 from galen_hw.tools.blind_proof.generator.plan import plan
 
@@ -303,3 +304,13 @@ def test_answers_that_another_engine_gave_are_said_to_be_so(tmp_path):
         path.with_suffix(".commit").write_text(commit)
     titles = "; ".join(real_set.title for real_set in real.SETS[1:3])
     assert real._made_before(tmp_path, "new") == [f"Answered by the engine of commit old: {titles}."]
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured", "quantised"])
+@pytest.mark.parametrize("rows", [2, 5])
+def test_noise_of_means_is_what_a_tool_that_averages_can_reach(kind: str, rows: int) -> None:
+    """Against means of the noise itself."""
+    clean, sigma = np.linspace(0.0, 3.0, 200_000)[:, None], np.array([0.01])
+    noise = noise_of.add_noise(np.random.default_rng(6), clean, sigma, kind) - clean
+    means = noise.reshape(-1, rows).mean(axis=1)
+    assert np.std(means) / np.std(noise) == pytest.approx(noise_of.averaged(kind, rows), rel=0.03)

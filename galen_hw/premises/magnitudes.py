@@ -24,7 +24,6 @@ LOST: Final = {
 }
 """Where readings without a sign would be, from such a number to zero: what is said, and what to do."""
 
-
 FEWEST: Final = 50
 """Readings on either side of a gap."""
 
