@@ -28,7 +28,7 @@ def arm(load: float = 0.0) -> UrdfRobot:
 
 
 def answer(effort: np.ndarray, q: np.ndarray, t: np.ndarray) -> Diagnosis:
-    """What is said of efforts (N, 2) in a motion (N, 2)."""
+    """Return what is said of efforts (N, 2) in a motion (N, 2)."""
     columns = {"time": t}
     for k, name in enumerate(NAMES):
         columns |= {f"joint.{name}.position": q[:, k], f"joint.{name}.effort": effort[:, k]}

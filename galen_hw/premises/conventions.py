@@ -50,8 +50,8 @@ def _numbers(R: Array, convention: str) -> Iterator[Array]:
     sequence = EULER[convention]
     numbers = rotation.as_euler(sequence)
     half = 0.5 * TURN
-    same = [-1.0, 0.0] if sequence[0] == sequence[2] else [-1.0, half]
-    other = np.stack([numbers[:, 0] + half, same[0] * numbers[:, 1] + same[1], numbers[:, 2] + half], axis=1)
+    middle = -numbers[:, 1] if sequence[0] == sequence[2] else half - numbers[:, 1]
+    other = np.stack([numbers[:, 0] + half, middle, numbers[:, 2] + half], axis=1)
     yield numbers
     yield (other + half) % TURN - half
 

@@ -145,14 +145,11 @@ class MotionForces:
         Q, y = efforts.beside[c], efforts.scene.measured[:, c]
         X, y = (x - Q @ (Q.T @ x) for x in (parts[:, c], y))
         pieces = [part for part in np.array_split(np.arange(len(y)), CRITERIA.pieces) if len(part)]
-        normal = np.array([X[part].T @ X[part] for part in pieces])
-        size = np.sqrt(np.diag(normal.sum(axis=0)))
-        if (
-            np.any(size <= 0.0)
-            or np.linalg.cond(normal.sum(axis=0) / np.outer(size, size)) > 1.0 / CRITERIA.small_turn**2
-        ):
+        normal = X.T @ X
+        size = np.sqrt(np.diag(normal))
+        if np.any(size <= 0.0) or np.linalg.cond(normal / np.outer(size, size)) > 1.0 / CRITERIA.small_turn**2:
             return None
-        inverse = np.linalg.inv(normal.sum(axis=0))
+        inverse = np.linalg.inv(normal)
         share = inverse @ (X.T @ y)
         # What is left wanders: each piece is one piece of luck.
         score = np.array([X[part].T @ (y[part] - X[part] @ share) for part in pieces])

@@ -32,14 +32,15 @@ class HeldJoints:
         time, ours = seen.time, set(compared_names(seen))
         if time is None or len(seen) < 100 or not smooth(seen):
             return
-        lost, says = np.zeros(len(seen), dtype=bool), list[str]()
-        names = [n for n in joint_columns(seen, "position") if n not in ours]
-        for name in names:
+        lost, says = np.zeros(len(seen), dtype=bool), dict[str, str]()
+        for name in joint_columns(seen, "position"):
+            if name in ours:
+                continue
             held = _held(seen.columns[name], time, seen.segments)
             if held.any():
                 stretches = [f"{time[a]:.4g} to {time[b - 1]:.4g} s" for a, b in runs(held)]
                 more = f" and {len(stretches) - 3} more times" if len(stretches) > 3 else ""
-                says.append(f"{name} stands at one reading from {', '.join(stretches[:3])}{more}, and then jumps")
+                says[name] = f"{name} stands at one reading from {', '.join(stretches[:3])}{more}, and then jumps"
                 lost |= held
         if not says or lost.mean() > CRITERIA.half:
             return
@@ -48,8 +49,8 @@ class HeldJoints:
             segment[part] = number
         segment += np.cumsum(np.diff(lost.astype(int), prepend=0) < 0)
         repaired = with_columns(seen, {"segment": segment}).taken(~lost)
-        what = f"{'; '.join(says)}: its messages were lost; {rows_in(int(lost.sum()), len(seen))} left out"
-        yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, repaired)
+        what = f"{'; '.join(says.values())}: its messages were lost; {rows_in(int(lost.sum()), len(seen))} left out"
+        yield Remark(self.KEY, what, "", tuple(says), Action.REPAIRED, repaired)
 
 
 def _held(values: Array, time: Array, segments: list[slice]) -> Mask:

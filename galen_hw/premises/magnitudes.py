@@ -10,6 +10,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.channels import compared
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.efforts import FEWEST_ROWS
 from galen_hw.premises.wrench_reading import FORCE, TORQUE
 
 LOST: Final = {
@@ -24,9 +25,6 @@ LOST: Final = {
 }
 """Where readings without a sign would be, from such a number to zero: what is said, and what to do."""
 
-FEWEST: Final = 50
-"""Readings on either side of a gap."""
-
 
 class Magnitudes:
     """Tests for loads that are never negative (or never between -1 and 0) where their simulation is, whose size they follow."""
@@ -38,7 +36,7 @@ class Magnitudes:
         """Yield one refusal with all channels that have no sign; friction, of either sign, may be larger than a load."""
         whole = seen.predict == "effort" or (seen.predict == "wrench" and seen.has_all(*FORCE, *TORQUE))
         scene = compared(seen) if whole else None
-        if scene is None or len(scene) < FEWEST:
+        if scene is None or len(scene) < FEWEST_ROWS:
             return
         # Where both fit, as of torques below 1, what more channels say.
         found = {least: _folded(seen, scene, least) for least in LOST}
@@ -73,6 +71,6 @@ def _folded(seen: Observations, scene: Scene, least: float) -> list[int]:
     both = {
         c
         for c in never
-        if np.sum(readings[c] <= least) > FEWEST < np.sum((readings[c] >= 0.0) & (readings[c] < -least))
+        if np.sum(readings[c] <= least) > FEWEST_ROWS < np.sum((readings[c] >= 0.0) & (readings[c] < -least))
     }
     return sorted(found | both) if found else []

@@ -186,8 +186,9 @@ def _elsewhere(seen: Observations) -> Iterator[Remark]:
         what = "force and torque are exchanged: the columns of the torque hold the weight"
         yield Remark(WrenchFrames.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, _exchanged(seen))
     elif seen.time is None:
+        poses = at_rest(comparable(seen))
         for shift, of in ((1, "before"), (-1, "after")):
-            if meets(_shifted(at_rest(comparable(seen)), shift)):
+            if meets(_shifted(poses, shift)):
                 what = f"each row's wrench is that of the pose {of}: two lists were joined of which one begins a pose earlier"
                 todo = "join them again, by numbers that begin alike"
                 yield Remark(WrenchFrames.KEY, what, todo, (*FORCE, *TORQUE), Action.REFUSED)

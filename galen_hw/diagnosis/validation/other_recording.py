@@ -77,8 +77,8 @@ def _bench(model: Model, scene: Scene, judged: Judged) -> Bench | None:
 def noise_ratio(model: Model, residual: Array) -> Array:
     """Return the noise (C,) of another recording over that of the first, from second differences, without most motion.
 
-    Of rounded readings at least 1: where the value is between two steps, rounding hides the noise, and not its own error. Rows of
-    contacts, whose edges are not smooth, are left out.
+    Of readings that are rounded to steps above their noise at least 1: where the value is between two steps, rounding hides the
+    noise, and not its own error. Rows of contacts, whose edges are not smooth, are left out.
     """
     good = ~model.bench.excluded_rows
     free = good & ~touched(model)
@@ -86,7 +86,7 @@ def noise_ratio(model: Model, residual: Array) -> Array:
     here, there = (np.mean(np.diff(x, n=2, axis=0) ** 2, axis=0) for x in (own, residual))
     known = model.bench.scene.clock & (here > 0.0) & (there > 0.0)
     ratio = np.where(known, there / np.where(known, here, 1.0), 1.0)
-    return np.where(model.bench.steps > 0.0, np.maximum(ratio, 1.0), ratio)
+    return np.where(model.bench.steps > model.bench.noise.sigma, np.maximum(ratio, 1.0), ratio)
 
 
 def undisturbed(model: Model, scene: Scene) -> tuple[Mask, tuple[tuple[float, float], ...]]:

@@ -36,7 +36,7 @@ def spectrum(cycles: Array, kind: str) -> Array:
 
 
 def averaged(kind: str, rows: int) -> float:
-    """Rms of means of so many neighbouring samples of that noise, over the rms of one."""
+    """Return the rms of means of so many neighbouring samples of that noise, over the rms of one."""
     if kind != "coloured":
         return float(rows**-0.5)
     lags = np.arange(1, rows)
