@@ -15,7 +15,7 @@ from galen_hw.physics.effects.friction import Friction
 from galen_hw.physics.effects.geometry import JointOffset
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.premises import cells, examined, joint_reading, load
+from galen_hw.premises import cells, examined, load, thinning
 from galen_hw.premises.channels import DeadChannels
 from galen_hw.premises.clock import ClockUnit
 from galen_hw.premises.criteria import CRITERIA
@@ -148,9 +148,11 @@ def test_a_direction_that_rows_hardly_show_makes_no_change_of_a_load_sure():
 
 def test_joints_are_tried_on_at_most_so_many_rows():
     """One fewer than twice as many are every other one."""
-    some = joint_reading._thinned(degrees(unmeasured=True).taken(slice(0, 2 * CRITERIA.most_rows - 1)))
-    assert some is not None
-    assert len(some) == CRITERIA.most_rows
+    found = thinning.thinned(degrees(unmeasured=True).taken(slice(0, 2 * CRITERIA.most_rows - 1)))
+    assert found is not None
+    some, rates = found
+    assert rates is not None
+    assert len(some) == len(rates[0]) == CRITERIA.most_rows
     assert np.allclose(np.diff(some.time), 2.0 / 50.0)
 
 

@@ -115,6 +115,11 @@ class UrdfRobot(UrdfChain):
         number = int(self.model.getJointId(joint))
         return number, np.array(self.model.inertias[number].lever)
 
+    def moved_mass(self, joint: str = "") -> float:
+        """Return the mass of all that is fixed to a joint, or to that of the sensor, kg; 0 where none moves it."""
+        number = int(self.model.getJointId(joint)) if joint else self.carrier
+        return 0.0 if number is None else float(self.model.inertias[number].mass)
+
     def load_regressor(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
         """Joint efforts per inertial parameter of the link at the sensor, see `body_regressor`; of nothing where it is fixed."""
         return self.body_regressor(self.carrier or 0, q, dq, ddq)

@@ -267,6 +267,8 @@ def _turned(T: Array, J: Array) -> Array:
 def by_rows(one: Callable[..., Array], shape: tuple[int, ...], *inputs: Array) -> Array:
     """Apply pinocchio's one-sample functions row by row."""
     out = np.empty((len(inputs[0]), *shape))
+    # pinocchio gives a vector for some matrices of one column, and of no frame. Else a reshape takes longer than the dynamics.
+    thin = shape[-1:] == (1,) or not out.size
     for i, row in enumerate(zip(*inputs, strict=True)):
-        out[i] = np.reshape(one(*row), shape)  # pinocchio gives a vector for a matrix of one column
+        out[i] = np.reshape(one(*row), shape) if thin else one(*row)
     return out

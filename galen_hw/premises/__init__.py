@@ -12,6 +12,7 @@ from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, 
 
 PREMISES: Final = (
     "cells.LostValues",
+    "points.DecimalPoints",
     "blanks.BlankSamples",
     "sampling.OuterJoin",
     "unpadded.UnpaddedStamps",
@@ -54,6 +55,8 @@ PREMISES: Final = (
     "pushes.PushSigns",
     "joint_reading.JointReading",
     "link_lengths.LinkLengths",
+    "streams.ApartClocks",
+    "streams.SmoothedStream",
     "load.ToolTwice",
     "weightless.WeightlessTool",
     "tool_inertia.ToolInertia",

@@ -21,6 +21,8 @@ SMOOTH: Final = 0.02
 """Mean squared step from row to row over the variance, of a joint that moves smoothly."""
 STEP: Final = 5.0
 """Times the median step of time, either way, from which on a clock was set."""
+AT_ONCE: Final = 0.1
+"""Of the mean time between rows: what follows sooner was delivered together."""
 ALONE: Final = 3
 """Stamps in a row that are off by themselves, and no clock that was set."""
 
@@ -211,41 +213,85 @@ def _lasting(time: Array) -> NDArray[np.bool_]:
 
 
 class RoundedClock:
-    """Tests for stamps that were rounded (whole seconds, a spreadsheet's digits) more coarsely than rows follow each other."""
+    """Tests for stamps that say when rows were written, not when they were sampled: rounded, or in bursts.
+
+    Whole seconds, a spreadsheet's digits; blocks of rows that a driver or a serial port delivers at once.
+    """
 
     KEY: ClassVar[str] = "rounded_clock"
     STAGE: ClassVar[Stage] = Stage.CELLS
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield one remark; rows are spread evenly, which is within the rounding of every stamp."""
+        """Yield one remark; rows are spread evenly, which is within the rounding, or the block, of every stamp."""
         time = seen.time
         if time is None or len(time) < 50 or not smooth(seen):
             return
         spread = time.copy()
-        rounded, worst = 0, 0.0
+        rounded, worst, bursts = 0, 0.0, False
         for part in seen.segments:
-            t = time[part]
-            if len(t) < 20 or np.any(np.diff(t) < 0.0):
-                continue
-            repeats = float(np.mean(np.diff(t) == 0.0))
-            if repeats < 0.1:
-                continue
-            row = np.arange(len(t), dtype=float)
-            quantum = float(np.min(np.diff(t)[np.diff(t) > 0.0], initial=np.inf))
-            slope, start = _even(row, t)
-            even = start + slope * row
-            if slope > 0.0 and np.max(np.abs(even - t - 0.5 * quantum * _floored(even, t))) <= 1.5 * quantum:
-                spread[part], rounded, worst = even, rounded + len(t), max(worst, quantum)
+            found = _spread(time[part])
+            if found is not None:
+                even, quantum, blocks = found
+                spread[part], rounded, worst = even, rounded + len(even), max(worst, quantum)
+                bursts |= blocks
         if not rounded:
             return
-        what = f"stamps of {rows_in(rounded, len(time))} are rounded to {worst:.3g} s, coarser than rows follow"
-        what += ": rows are spread evenly"
-        yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, with_columns(seen, {"time": spread}))
+        rows, repaired = rows_in(rounded, len(time)), with_columns(seen, {"time": spread})
+        if not bursts:
+            what = f"stamps of {rows} are rounded to {worst:.3g} s, coarser than rows follow: rows are spread evenly"
+            yield Remark(self.KEY, what, "", ("time",), Action.REPAIRED, repaired)
+            return
+        what = (
+            f"stamps of {rows} come in bursts {worst:.3g} s apart, as a driver delivers blocks: rows are spread evenly"
+        )
+        sampled = _sampled_when_stamped(seen, time)
+        if sampled:
+            what += ", and joints, which were read at the stamps, are interpolated"
+            joints = {name: np.interp(spread, time, seen.columns[name]) for name in sampled}
+            repaired = with_columns(repaired, joints).taken((spread >= time[0]) & (spread <= time[-1]))
+        yield Remark(self.KEY, what, "", ("time", *sampled), Action.REPAIRED, repaired)
 
 
-def _even(row: Array, t: Array) -> tuple[float, float]:
-    """Return slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row."""
-    change = np.flatnonzero(np.diff(t) > 0.0) + 1
+def _spread(t: Array) -> tuple[Array, float, bool] | None:
+    """Return even times (n,) of rows with stamps (n,), the time between different stamps, s, and whether they come in bursts."""
+    steps = np.diff(t)
+    if len(t) < 20 or np.any(steps < 0.0) or not t[-1] > t[0]:
+        return None
+    least = AT_ONCE * float(t[-1] - t[0]) / len(steps)
+    between = steps[steps > least]
+    # Blocks follow each other in time; behind a single gap all rows would be one.
+    alike = len(between) >= CRITERIA.pieces and np.max(between) < CRITERIA.least_factor * np.median(between)
+    bursts = bool(alike and len(between) <= CRITERIA.half * len(steps) and np.mean(steps == 0.0) < CRITERIA.half)
+    if not bursts and float(np.mean(steps == 0.0)) < 0.1:
+        return None
+    least = least if bursts else 0.0
+    row = np.arange(len(t), dtype=float)
+    quantum = float(np.min(steps[steps > least], initial=np.inf))
+    slope, start = _even(row, t, least)
+    even = start + slope * row
+    if not slope > 0.0 or np.max(np.abs(even - t - 0.5 * quantum * _floored(even, t))) > 1.5 * quantum:
+        return None
+    # A block is delivered when its last row was sampled.
+    return even - (quantum - slope if bursts else 0.0), quantum, bursts
+
+
+def _sampled_when_stamped(seen: Observations, time: Array) -> list[str]:
+    """Return the columns of joints where most of them hardly move within a burst: they were read when the rows were stamped."""
+    steps = np.diff(time)
+    inside = steps < AT_ONCE * float(np.ptp(time)) / len(steps)
+    names = [n for n in seen.columns if n.startswith("joint.") and n.endswith((".position", ".velocity", ".command"))]
+    moves = [np.abs(np.diff(seen.columns[n])) for n in names if np.isfinite(seen.columns[n]).all()]
+    held = sum(float(np.mean(x[inside])) < CRITERIA.gross_gain * float(np.mean(x[~inside])) for x in moves)
+    return names if len(moves) == len(names) and held > CRITERIA.half * len(names) else []
+
+
+def _even(row: Array, t: Array, least: float = 0.0) -> tuple[float, float]:
+    """Return slope and start of evenly spaced times by the rows at which the stamp changes, which are exact to one row.
+
+    Args:
+        least: s; a stamp that changes by less is that of the same block.
+    """
+    change = np.flatnonzero(np.diff(t) > least) + 1
     if len(change) < 3:
         slope = float(np.ptp(t)) / max(len(t) - 1, 1)
         return slope, float(t[0])

@@ -153,6 +153,9 @@ def _slope(expected: Array, measured: Array, speed: Array) -> float | None:
 
 
 def beside_friction(speed: Array) -> Array:
-    """Return (N, 3) a constant, dry and viscous friction of a joint of speed (N,), each of any size."""
+    """Return (N, 4) a constant, dry and viscous friction of a joint of speed (N,), and dry friction that holds where it rests."""
     small = 0.05 * max(float(np.std(speed)), 1e-12)
-    return np.column_stack([np.ones_like(speed), np.tanh(speed / small), speed])
+    moves = np.flatnonzero(np.abs(speed) > small)
+    last = np.searchsorted(moves, np.arange(len(speed)), side="right") - 1
+    held = np.sign(speed[moves[np.maximum(last, 0)]]) if len(moves) else np.zeros_like(speed)
+    return np.column_stack([np.ones_like(speed), np.tanh(speed / small), speed, held])

@@ -12,14 +12,14 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.base import Scene
 from galen_hw.physics.scenes.pose import QUATERNION
-from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, with_columns
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.registration import poses
 from galen_hw.premises.rotations import scaled, turned_alike
-from galen_hw.premises.sampling import compared_names, measured
+from galen_hw.premises.thinning import Rates, thinned
 from galen_hw.premises.unit_tables import JOINT_ANGLES, JOINT_LENGTHS
-from galen_hw.premises.wrench_reading import FORCE, at_rest, readings
+from galen_hw.premises.wrench_reading import FORCE, readings
 from galen_hw.spatial import Array, rotation_from_quaternion
 
 OWN: Mapping[str, tuple[str, ...]] = {
@@ -27,7 +27,6 @@ OWN: Mapping[str, tuple[str, ...]] = {
     "effort": ("effort",),
 }
 """Columns of a joint that one slip turns round, or exchanges, together."""
-Rates = tuple[Array, Array] | None
 SIGN: Final = "the opposite sign of the model's"
 SWAPPED: Final = "swapped"
 SHIFTED: Final = "shifted by a column, so that each joint has its neighbour's"
@@ -38,8 +37,6 @@ REFUSED: Final = {
     COUPLED: ("their sum and difference", "give the efforts of the joints themselves"),
 }
 """What is refused: as what it was read instead, and what to do."""
-DIFFERENTIABLE_S = 0.05
-"""Time between rows up to which a motion of an arm can be differentiated: ten rows of its quickest half second."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +47,14 @@ class _Try:
         kind: of column, "position" or "effort".
         joints: that are read otherwise.
         mix: (n, n) what each joint is of the columns of all of them.
-        zero: rad that are added to positions.
+        zeros: rad that are added to the position of each, none: 0.
         says: what the mistake is, in words; empty: the sign.
     """
 
     kind: str
     joints: tuple[str, ...]
     mix: tuple[tuple[float, ...], ...]
-    zero: float = 0.0
+    zeros: tuple[float, ...] = ()
     says: str = ""
 
     def read(self, seen: Observations) -> Observations:
@@ -66,7 +63,9 @@ class _Try:
         for what in OWN[self.kind]:
             names = [f"joint.{joint}.{what}" for joint in self.joints]
             if seen.has_all(*names):
-                read = seen.matrix(*names) @ np.array(self.mix).T + (0.0 if what == "velocity" else self.zero)
+                read = seen.matrix(*names) @ np.array(self.mix).T
+                if self.zeros and what != "velocity":
+                    read = read + np.array(self.zeros)
                 new |= dict(zip(names, read.T, strict=True))
         return with_columns(seen, new)
 
@@ -98,14 +97,11 @@ class JointReading:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one remark: signs and zeros are put right, columns of other joints or of motors refused."""
-        some = _thinned(seen)
-        if some is None:
-            return
-        scene = scene_of(some)
-        if not _doubtful(some, scene):
-            return
+        some_rows = thinned(seen)
         # Differentiated once: a joint that is read otherwise moves otherwise in the same way.
-        rates = scene.rates if scene.clock else None
+        if some_rows is None or not _doubtful(*some_rows):
+            return
+        some, rates = some_rows
         plain = _unexplained(some, rates)
         found = {
             one: left
@@ -134,32 +130,12 @@ class JointReading:
 
 def better(one: Observations, other: Observations) -> bool:
     """Return whether over a whole motion one reading of a recording leaves far less unexplained than another."""
-    shares = [
-        None if some is None else _unexplained(some, None if some.time is None else scene_of(some).rates)
-        for some in map(_thinned, (one, other))
-    ]
+    shares = [None if rows is None else _unexplained(*rows) for rows in map(thinned, (one, other))]
     first, second = shares
     if first is None or second is None or len(first) != len(second):
         return False
     told = np.minimum(first, second) < CRITERIA.half
     return bool(told.any() and np.mean(first[told]) < CRITERIA.gross_gain * np.mean(second[told]))
-
-
-def _thinned(seen: Observations) -> Observations | None:
-    """Return rows with all joints and compared channels, evenly chosen; at rest where too far apart for a motion."""
-    seen = measured(seen)
-    robot, names, driven = seen.belief.robot, compared_names(seen), joint_positions(seen)
-    if not names or (robot is None and seen.simulation is None and seen.predict != "position"):
-        return None
-    lacking = robot is not None and len(driven) < len(robot.joint_names)
-    if lacking and seen.simulation is None and seen.predict != "position":
-        return None
-    rows = known_rows(seen, (*names, *driven))
-    if len(rows) < CRITERIA.fewest_vectors:
-        return None
-    some = seen.taken(rows[:: -(-len(rows) // CRITERIA.most_rows)])
-    spaced = some.time is not None and float(np.median(np.diff(some.time))) <= DIFFERENTIABLE_S
-    return some if spaced or seen.simulation is not None else at_rest(some)
 
 
 def _tries(some: Observations) -> Iterator[_Try]:
@@ -191,7 +167,13 @@ def _zeros(joints: Sequence[str]) -> Iterator[_Try]:
         for sign, turned in ((1.0, ""), (-1.0, " and the opposite sign")):
             for quarters in (1, 2, -1):
                 says = f"its zero {abs(90 * quarters)} deg from the model's{turned}"
-                yield _Try("position", (joint,), ((sign,),), quarters * np.pi / 2.0, says)
+                yield _Try("position", (joint,), ((sign,),), (quarters * np.pi / 2.0,), says)
+    # The pose in which the second is counted from where the first points, as an upright arm's.
+    for pair in pairwise(joints):
+        for ways in product((1.0, -1.0), repeat=2):
+            turns = "the same way" if ways[0] == ways[1] else "opposite ways"
+            says, zeros = f"their zeros 90 deg from the model's, {turns}", tuple(way * np.pi / 2.0 for way in ways)
+            yield _Try("position", pair, ((1.0, 0.0), (0.0, 1.0)), zeros, says)
 
 
 def _in_unit(joint: str, *, slides: bool) -> _Try:
@@ -246,22 +228,28 @@ def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
     if least > min(CRITERIA.gross_left, CRITERIA.gross_gain * _mean_unexplained(plain, plain, found)):
         return []
     good = [one for one in found if score[one] <= max(CRITERIA.as_good * least, CRITERIA.small_turn**2)]
-    # Simplest first: of two that are as good, one joint less is turned round.
-    good = [one for one in good if len(one.joints) == 1 or one.says] or good
+    # Simplest first: of two that are as good, one joint less is turned round, or counted from another zero.
+    good = [one for one in good if len(one.joints) == 1 or (one.says and not one.zeros)] or good
     return good if len({(one.joints, one.says) for one in good}) == 1 else []
 
 
 def _mean_unexplained(left: Array, plain: Array, found: Mapping[_Try, Array]) -> float:
-    """Return the mean unexplained share of the channels of which some reading explains at least half."""
-    told = np.min([plain, *found.values()], axis=0) < CRITERIA.half
-    return float(np.mean(left[told])) if told.any() else 1.0
+    """Return the mean unexplained share of the channels of which some reading explains half, and far more than the columns do.
+
+    1 without any, and of a reading that loses a channel which the columns as named explain.
+    """
+    best = np.min([plain, *found.values()], axis=0)
+    told = best < np.minimum(CRITERIA.half, CRITERIA.gross_gain * plain)
+    lost = bool(np.any((plain <= CRITERIA.gross_left) & (left > CRITERIA.half)))
+    return float(np.mean(left[told])) if told.any() and not lost else 1.0
 
 
-def _doubtful(some: Observations, scene: Scene) -> bool:
+def _doubtful(some: Observations, rates: Rates) -> bool:
     """Return whether something that is compared misses its simulation by more than its noise and friction can say."""
     if some.predict not in OWN:
         left = _unexplained(some, None)
         return left is not None and float(np.max(left)) > CRITERIA.small_turn
+    scene = scene_of(some, rates=rates)
     y, x = scene.measured, scene.simulated
     if len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return False

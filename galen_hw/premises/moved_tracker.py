@@ -86,34 +86,41 @@ class _Points:
 
     Args:
         simulated, measured: (N, K, 3) m.
-        carried: (N, 3, 3) axes of the body whose points' places are fitted, as the tracker sees them; None: places are known.
+        shared: (N, 3 K, k) how the points move with what is the same before and after: zeros of the joints, and the places of
+            points on the body where these are fitted.
     """
 
     simulated: Array
     measured: Array
-    carried: Array | None
+    shared: Array
 
     @classmethod
     def of(cls, scene: Scene, measured: Array) -> Self:
         """Return those of a scene."""
         n, width = measured.shape
-        carried = scene.registration[0] @ scene.T_sensor[:, :3, :3] if isinstance(scene, TargetsScene) else None
-        return cls(scene.simulated[:, :width].reshape(n, -1, 3), measured.reshape(n, -1, 3), carried)
+        ports = [scene.joint_port(joint) for joint in scene.moved]
+        shared = [port[:, :width, None] for port in ports if port is not None]
+        if isinstance(scene, TargetsScene):
+            shared.append(_places(scene.registration[0] @ scene.T_sensor[:, :3, :3], width // 3))
+        return cls(
+            scene.simulated[:, :width].reshape(n, -1, 3),
+            measured.reshape(n, -1, 3),
+            np.concatenate([np.zeros((n, width, 0)), *shared], axis=2),
+        )
 
     def some(self, rows: NDArray[np.intp]) -> "_Points":
         """Return those of some rows."""
-        carried = None if self.carried is None else self.carried[rows]
-        return _Points(self.simulated[rows], self.measured[rows], carried)
+        return _Points(self.simulated[rows], self.measured[rows], self.shared[rows])
 
     def moment(self) -> int | None:
         """Return the row from which on the points are in another frame than before; None where no row tells.
 
-        Each frame is a small motion [v, w] of simulated points p, v + w x p; places on the body are the same in both. By least
+        Each frame is a small motion [v, w] of simulated points p, v + w x p; what is `shared` is the same in both. By least
         squares, from sums up to each row of a few.
         """
         rows, fewest = _few(len(self.simulated)), CRITERIA.fewest_vectors
         few = self.some(rows)
-        A, B, r = few.frame(), few.own(), (few.measured - few.simulated).reshape(len(rows), -1)
+        A, B, r = few.frame(), few.shared, (few.measured - few.simulated).reshape(len(rows), -1)
         At, size = np.swapaxes(A, 1, 2), B.shape[2]
         G, C, b = (np.cumsum(x, axis=0) for x in (At @ A, At @ B, At @ r[:, :, None]))
         D, d = np.einsum("nij,nik->jk", B, B), np.einsum("nij,ni->j", B, r)
@@ -140,15 +147,15 @@ class _Points:
         return int(first + 1 + np.sum(off[0][1:] < off[1][1:]))
 
     def placed(self, k: int) -> "_Points":
-        """Return the points with their places on the body as they fit both frames, the second from row k on."""
-        if self.carried is None:
+        """Return the points simulated with what is `shared` as it fits both frames, the second from row k on."""
+        if not self.shared.shape[2]:
             return self
         rows = _few(len(self.simulated))
         few, later = self.some(rows), (rows >= k)[:, None, None]
         A, r = few.frame(), (few.measured - few.simulated).ravel()
-        X = np.concatenate([A * ~later, A * later, few.own()], axis=2).reshape(len(r), -1)
-        moved = np.linalg.lstsq(X, r, rcond=1e-9)[0][12:].reshape(-1, 3)
-        return replace(self, simulated=self.simulated + np.einsum("nij,kj->nki", self.carried, moved))
+        X = np.concatenate([A * ~later, A * later, few.shared], axis=2).reshape(len(r), -1)
+        moved = self.shared @ np.linalg.lstsq(X, r, rcond=1e-9)[0][12:]
+        return replace(self, simulated=self.simulated + moved.reshape(self.simulated.shape))
 
     def frames(self, k: int) -> tuple[_Frame, _Frame]:
         """Return the frames of the rows before k and from k on."""
@@ -173,15 +180,13 @@ class _Points:
         p = self.simulated.reshape(-1, 3)
         return np.concatenate([np.tile(np.eye(3), (len(p), 1, 1)), -skew(p)], axis=2).reshape(n, 3 * count, 6)
 
-    def own(self) -> Array:
-        """Return how the points move with their places on the body, (N, 3 K, 3 K); (N, 3 K, 0) where these are known."""
-        n, count, _ = self.simulated.shape
-        if self.carried is None:
-            return np.zeros((n, 3 * count, 0))
-        out = np.zeros((n, 3 * count, 3 * count))
-        for k in range(count):
-            out[:, 3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = self.carried
-        return out
+
+def _places(carried: Array, count: int) -> Array:
+    """Return how points move with their places on a body of axes (N, 3, 3), as the tracker sees them: (N, 3 K, 3 K)."""
+    out = np.zeros((len(carried), 3 * count, 3 * count))
+    for k in range(count):
+        out[:, 3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = carried
+    return out
 
 
 def _few(n: int) -> NDArray[np.intp]:

@@ -182,7 +182,9 @@ def _elsewhere(seen: Observations) -> Iterator[Remark]:
             and _weighs(_Found(one, IDENTITY, one.plain.unexplained, "plain"))
         )
 
-    if meets(_exchanged(some)):
+    # Moments of any size with no tool named: as forces they may turn with gravity, but then the forces are no moments of a tool.
+    spread = [float(np.sum(np.var(some.matrix(*names), axis=0))) for names in (FORCE, TORQUE)]
+    if spread[0] <= CRITERIA.longest_lever**2 * spread[1] and meets(_exchanged(some)):
         what = "force and torque are exchanged: the columns of the torque hold the weight"
         yield Remark(WrenchFrames.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, _exchanged(seen))
     elif seen.time is None:

@@ -28,10 +28,10 @@ class Payload(Effect):
     I = m (c.c 1 - c c^T), by its slopes in m and m c where c is `at`; what is small has hardly more, and a motion that
     turns about one axis alone would give it any). `joint`: not what is carried, but the link that this joint moves, in efforts:
     "mass" is a point at its believed centre of mass. `still`: its weight alone, of a recording whose baseline holds no more (a
-    filtered sensor, a simulation of poses). `since`: from that moment (s) on, as what is picked up, put down or slips in its
-    clamp; such moments are sought in the residual. `by`: in proportion to a covariate, per unit of it (a gripper's jaw that
-    opens, a vessel that fills). Visible when gravity turns in the sensor. Confused with gain and
-    cross_talk, and with bias where it does not turn.
+    filtered sensor, a simulation of poses), or that a controller takes off, set to another tool. `since`: from that moment (s)
+    on, as what is picked up, put down or slips in its clamp; such moments are sought in the residual. `by`: in proportion to a
+    covariate, per unit of it (a gripper's jaw that opens, a vessel that fills). Visible when gravity turns in the sensor.
+    Confused with gain and cross_talk, and with bias where it does not turn.
     """
 
     KEY = "payload"
@@ -68,7 +68,7 @@ class Payload(Effect):
                     yield from (cls(part, joint=joint) for part in ("mass", "moment", "body"))
         if np.any(np.abs(port[:, :, 4:]) > 0.0) and scene.clock:
             yield cls("full")
-        weight = None if scene.belief.dynamic or not scene.clock else scene.weight_port()
+        weight = scene.weight_port() if scene.clock else None
         if weight is not None and not np.array_equal(weight, port):
             yield from (cls(part, still=True) for part in ("mass", "moment", "body"))
 
@@ -98,7 +98,9 @@ class Payload(Effect):
 
     @property
     def remark(self) -> str:
-        """A sentence on when it changed."""
+        """A sentence on what changed, and when."""
+        if self.still:
+            return "It is weight alone, without inertia, as a controller takes it off that is set to another tool."
         if self.by:
             return f"What is told a unit of {self.by.removeprefix('covariate.')} goes in proportion to {self.by}."
         return "" if self.since is None else f"It is so from {self.since:.4g} s on."
@@ -158,17 +160,20 @@ class Payload(Effect):
         return np.asarray(self._bodies(scene) @ theta)
 
     def possible(self, scene: Scene, theta: Array, spread: Array) -> bool:
-        """Return whether the tool with it is a distribution of mass, where the tool is known and the inertia is free.
+        """Return whether what is carried with it weighs something, and is a distribution of mass where its inertia is free.
 
-        Its second moments about the centre of mass along any axis u, u . S u with S = tr(I) / 2 - I, are of no sign but
-        positive (Wensing, Kim, Slotine 2018).
+        Where it is known what is carried; what a controller takes off may be more. Second moments about the centre of mass
+        along any axis u, u . S u with S = tr(I) / 2 - I, are of no sign but positive (Wensing, Kim, Slotine 2018).
         """
-        tool = scene.belief.tool
-        if self.part != "full" or self.joint or scene.observations.predict != "wrench" or tool.mass <= 0.0:
+        carried = scene.carried_mass(self.joint)
+        if self.part == "moment" or self.still or self.by or carried <= 0.0:
             return True
-        whole = tool.with_parameters(theta)
+        if carried + theta[0] + 3.0 * spread[0] <= 0.0:
+            return False
+        tool = scene.belief.tool
+        whole = tool.with_parameters(theta) if self.part == "full" and scene.observations.predict == "wrench" else None
         if whole is None:
-            return bool(tool.mass + theta[0] + 3.0 * spread[0] > 0.0)
+            return True
         least, axes = np.linalg.eigh(0.5 * np.trace(whole.inertia) * np.eye(3) - whole.inertia)
         x, y, z = u = axes[:, 0]
         to_com = float(u @ whole.com)

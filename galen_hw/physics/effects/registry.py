@@ -3,6 +3,7 @@
 import importlib
 from collections.abc import Mapping
 from typing import Any, Final
+from weakref import WeakValueDictionary
 
 from galen_hw.errors import UsageError
 from galen_hw.physics.effects.base import Effect
@@ -50,6 +51,10 @@ SCENES: Final[dict[str, str]] = {
 }
 
 
+_in_use: Final[WeakValueDictionary[int, Scene]] = WeakValueDictionary()
+"""Scenes by the identity of the recording, which each of them holds."""
+
+
 def _load(path: str) -> Any:
     module, name = path.split(":")
     return getattr(importlib.import_module(module), name)
@@ -82,7 +87,19 @@ def constant_of(channel: str, predict: str) -> Effect:
 
 
 def scene_of(observations: Observations, **options: Any) -> Scene:
-    """Return the scene of the compared group; options as in `Scene`."""
+    """Return the scene of the compared group; options as in `Scene`.
+
+    Without options, and while it is in use, the same one again: its motion is differentiated and simulated once.
+    """
+    if options:
+        return _new_scene(observations, options)
+    scene = _in_use.get(id(observations))
+    if scene is None:
+        scene = _in_use[id(observations)] = _new_scene(observations, {})
+    return scene
+
+
+def _new_scene(observations: Observations, options: Mapping[str, Any]) -> Scene:
     known = _load("galen_hw.physics.effects.terms:known_change") if observations.belief.terms else None
     return _load(SCENES[observations.predict])(observations, known=known, **options)  # type: ignore[no-any-return]
 

@@ -346,6 +346,11 @@ class Scene(Operated):
         """Return the answer (N, C, 10) to a body on the sensor or tip: m, m c (3), inertia xx xy yy xz yz zz about its origin."""
         return None
 
+    def carried_mass(self, joint: str = "") -> float:
+        """Return what the link that a joint moves is believed to weigh, kg, of the link at the sensor for ""; 0: not known."""
+        del joint
+        return self.belief.tool.mass
+
     def weight_port(self) -> Array | None:
         """Return the answer (N, C, 10) to its weight alone, as if nothing accelerated it."""
         return None

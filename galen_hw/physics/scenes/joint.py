@@ -197,6 +197,11 @@ class EffortScene(JointScene):
         dq, ddq = self.rates
         return self._along(self._coarse(lambda rows: robot.load_regressor(self.q[rows], dq[rows], ddq[rows])))
 
+    def carried_mass(self, joint: str = "") -> float:
+        """Return the mass of all that a joint moves by itself, or of the link at the sensor, as the URDF has it, kg."""
+        robot = self._urdf()
+        return 0.0 if robot is None else robot.moved_mass(joint)
+
     @once
     def link_port(self, joint: str) -> tuple[Array, Array] | None:
         """Return efforts (N, C, 10) per inertial parameter of the link that a joint moves, and its centre of mass (3,), m.
