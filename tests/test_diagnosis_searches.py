@@ -15,10 +15,12 @@ from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.pipeline import diagnose
-from galen_hw.diagnosis.searching import Search, pruned
+from galen_hw.diagnosis.searching import Search, _better, pruned
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search import settled
 from galen_hw.diagnosis.selection.search_state import Selection
+from galen_hw.diagnosis.selection.simplicity import _simpler
+from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.drift import Drift
 from galen_hw.physics.effects.registry import scene_of
@@ -80,6 +82,37 @@ def test_an_offset_that_stands_at_the_end_meets_what_explains_more() -> None:
         stands = settled(scorer, [(offset, np.array([SIGMA[2]]))], 10.0, rivals=rivals)
         kept[rivals] = [h.effect for h in stands.hypotheses]
     assert kept == {False: [offset], True: [drift]}
+
+
+@pytest.mark.parametrize(
+    ("lead", "fewer", "taken"),
+    [
+        (0.9, 0, True),
+        (-0.9, 0, False),
+        (0.9, -1, True),
+        (-0.9, -1, True),
+        (-1.1, -1, False),
+        (0.9, 1, False),
+        (1.1, 1, True),
+    ],
+)
+def test_of_equal_models_that_with_fewer_effects_is_taken(
+    warming: DiagnosisBench, monkeypatch: pytest.MonkeyPatch, lead: float, fewer: int, *, taken: bool
+) -> None:
+    """Whichever search found it: a weight stands for a constant and a scale that explain hardly more."""
+    one = search(warming, Gain(WRENCH[0]), Gain(WRENCH[1]))
+    other = search(warming, *(Gain(name) for name in WRENCH[: 2 + fewer]))
+    gains = {id(one[1]): 0.0, id(other[1]): lead * CRITERIA.log_odds}
+    monkeypatch.setattr(Model, "penalised_gain", lambda model: gains[id(model)])
+    assert (_better(one, other) is other) is taken
+
+
+def test_a_commoner_kind_that_needs_more_parameters_is_not_simpler() -> None:
+    """Friction of a servo that sticks, stand-off and response, beside a play of one width."""
+    assert _simpler((1, 1), (2, 1))
+    assert _simpler((1, 1), (1, 2))
+    assert not _simpler((1, 2), (2, 1))
+    assert not _simpler((1, 1), (1, 1))
 
 
 def test_two_that_cancel_but_for_a_small_part_are_not_real_side_by_side(warming: DiagnosisBench) -> None:

@@ -87,8 +87,7 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
             return found
         on = copy(fresh)
         stands = settled(scored(on, own), found[1].placed(), found[0].needed, rivals=True)
-        model = settle_model(on, stands.scorer, stands)
-        return (stands, model) if model.penalised_gain() > found[1].penalised_gain() + CRITERIA.log_odds else found
+        return _better(found, (stands, settle_model(on, stands.scorer, stands)))
 
     own, fresh = offsets(bench), copy(bench)
     if not own:
@@ -97,11 +96,16 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
     better, other = Parallel(n_jobs=2, require="sharedmem")(
         delayed(one)(*each) for each in ((copy(bench), []), (copy(bench), own))
     )
-    lead = other[1].penalised_gain() - better[1].penalised_gain()
-    # Of equally good models the one with fewer effects is taken.
-    if lead > CRITERIA.log_odds or (lead > 0.0 and len(other[1].effects) < len(better[1].effects)):
+    if _better(better, other) is other:
         better, other = other, better
     return [exchanged(better_from(better, [] if better[0].scorer.free else own)), other]
+
+
+def _better(one: Search, other: Search) -> Search:
+    """Return the better of two models, of equally good ones that with fewer effects; else the first."""
+    fewer = len(other[1].effects) - len(one[1].effects)
+    needed = CRITERIA.log_odds if fewer > 0 else 0.0 if fewer == 0 else -CRITERIA.log_odds
+    return other if other[1].penalised_gain() - one[1].penalised_gain() > needed else one
 
 
 def _explains(model: Model, other: Model) -> bool:
