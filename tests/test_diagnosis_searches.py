@@ -19,7 +19,6 @@ from galen_hw.diagnosis.searching import Search, _better, pruned
 from galen_hw.diagnosis.selection.acceptance import plausible
 from galen_hw.diagnosis.selection.search import settled
 from galen_hw.diagnosis.selection.search_state import Selection
-from galen_hw.diagnosis.selection.simplicity import _simpler
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.drift import Drift
@@ -105,14 +104,6 @@ def test_of_equal_models_that_with_fewer_effects_is_taken(
     gains = {id(one[1]): 0.0, id(other[1]): lead * CRITERIA.log_odds}
     monkeypatch.setattr(Model, "penalised_gain", lambda model: gains[id(model)])
     assert (_better(one, other) is other) is taken
-
-
-def test_a_commoner_kind_that_needs_more_parameters_is_not_simpler() -> None:
-    """Friction of a servo that sticks, stand-off and response, beside a play of one width."""
-    assert _simpler((1, 1), (2, 1))
-    assert _simpler((1, 1), (1, 2))
-    assert not _simpler((1, 2), (2, 1))
-    assert not _simpler((1, 1), (1, 1))
 
 
 def test_two_that_cancel_but_for_a_small_part_are_not_real_side_by_side(warming: DiagnosisBench) -> None:

@@ -145,3 +145,32 @@ def test_no_link_is_lighter_than_nothing() -> None:
             theta = np.array([share * mass, 0.0, 0.0, 0.0])
             assert Payload("body", joint=joint).possible(scene, theta, spread) is real
     assert Payload("body", still=True).possible(scene, np.array([-9.0, 0.0, 0.0, 0.0]), spread)
+
+
+def test_two_runs_merged_by_their_stamps_are_refused() -> None:
+    """Rows alternate between two motions; a zigzag of one joint beside others that go on is none."""
+    t, q = motion(3000)
+    one, other = (efforts(q[part], t[:1500]) for part in (slice(0, 1500), slice(1500, 3000)))
+    columns = {n: np.stack([one.columns[n], other.columns[n]], axis=1).ravel() for n in one.columns}
+    columns["time"] = np.stack([t[:1500], t[:1500] + 0.004], axis=1).ravel()
+    merged = replace(one, columns=columns)
+    (found,) = examined(merged).refused
+    assert found.premise == "interleaved_runs"
+    zigzag = one.columns["joint.turn.position"] + 0.05 * np.where(np.arange(1500) % 2, 1.0, -1.0)
+    seen = replace(one, columns=dict(one.columns) | {"joint.turn.position": zigzag})
+    assert "interleaved_runs" not in {remark.premise for remark in examined(seen).remarks}
+
+
+@pytest.mark.parametrize("order", [(0, 2, 3, 1), (0, 2, 1, 3)])
+def test_joints_whose_columns_stand_in_another_order_are_refused(order: tuple[int, ...]) -> None:
+    """Positions and efforts together, as a message has them that names its joints in an order of its own."""
+    t, q = motion()
+    seen = efforts(q, t, friction=0.3)
+    columns = dict(seen.columns)
+    for kind in ("position", "effort"):
+        names = [f"joint.{n}.{kind}" for n in seen.joint_names]
+        columns |= dict(zip(names, [seen.columns[names[k]] for k in order], strict=True))
+    refused = [one for one in examined(replace(seen, columns=columns)).refused if one.premise == "joint_reading"]
+    (found,) = refused
+    moved = [seen.joint_names[k] for k in range(4) if order[k] != k]
+    assert found.columns == tuple(f"joint.{n}.{kind}" for n in moved for kind in ("position", "effort"))

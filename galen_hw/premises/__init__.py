@@ -18,6 +18,7 @@ PREMISES: Final = (
     "unpadded.UnpaddedStamps",
     "clock.RowOrder",
     "clock.ClockUnit",
+    "interleaved.InterleavedRuns",
     "cells.DoubledRows",
     "clock.ClockSteps",
     "cuts.CutMotion",

@@ -25,6 +25,7 @@ from galen_hw.spatial import Array, rotation_from_quaternion
 OWN: Mapping[str, tuple[str, ...]] = {
     "position": ("position", "velocity", "command"),
     "effort": ("effort",),
+    "every": ("position", "velocity", "command", "effort"),
 }
 """Columns of a joint that one slip turns round, or exchanges, together."""
 SIGN: Final = "the opposite sign of the model's"
@@ -44,7 +45,7 @@ class _Try:
     """Another way to read joints: a linear map of their columns, and another zero.
 
     Args:
-        kind: of column, "position" or "effort".
+        kind: of column, "position", "effort", or "every" of a joint's.
         joints: that are read otherwise.
         mix: (n, n) what each joint is of the columns of all of them.
         zeros: rad that are added to the position of each, none: 0.
@@ -71,7 +72,7 @@ class _Try:
 
     def moved(self, seen: Observations, rates: Rates) -> Rates:
         """Return the joints' speeds and accelerations (N, n) read so."""
-        if rates is None or self.kind != "position":
+        if rates is None or self.kind == "effort":
             return rates
         at = [seen.joint_names.index(joint) for joint in self.joints]
         out = [x.copy() for x in rates]
@@ -82,7 +83,8 @@ class _Try:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that are read otherwise."""
-        return tuple(f"joint.{joint}.{self.kind}" for joint in self.joints)
+        kinds = ("position", "effort") if self.kind == "every" else (self.kind,)
+        return tuple(f"joint.{joint}.{kind}" for joint in self.joints for kind in kinds)
 
 
 class JointReading:
@@ -159,6 +161,12 @@ def _tries(some: Observations) -> Iterator[_Try]:
             yield from _shifted(kind, joints)
         if kind == "effort":
             yield from _coupled(joints)
+    if len(kinds) == 2 and kinds[0] == "effort":
+        # A message that names its joints in another order takes all of their columns with it.
+        yield from (_Try("every", pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED) for pair in combinations(joints, 2))
+        for first, last in combinations(range(len(joints) + 1), 2):
+            if last - first > 2:
+                yield from _shifted("every", joints[first:last])
 
 
 def _zeros(joints: Sequence[str]) -> Iterator[_Try]:
@@ -191,7 +199,7 @@ def _linked(joints: Sequence[str]) -> Iterator[_Try]:
 
 
 def _shifted(kind: str, joints: Sequence[str]) -> Iterator[_Try]:
-    """Yield columns of all joints that began one too early or too late: another device's came first, or one was left out."""
+    """Yield columns of joints that began one too early or too late, the last one first: another device's came first, say."""
     for way in (1, -1):
         mix = np.roll(np.eye(len(joints)), way, axis=1)
         yield _Try(kind, tuple(joints), tuple(map(tuple, mix.tolist())), says=SHIFTED)

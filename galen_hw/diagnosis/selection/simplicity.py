@@ -28,7 +28,7 @@ def plainest(
     places: dict[object, int] = {}
     for i in near:
         effect = scorer.library[i].effect
-        if effect is not None and _simpler(_cost(scorer, scores, i), own):
+        if effect is not None and _cost(scorer, scores, i) < own:
             places.setdefault(effect.location, i)
     for asked, i in enumerate(sorted(places.values(), key=lambda i: _cost(scorer, scores, i))):
         lead = scores[best].rank - scores[i].rank
@@ -52,12 +52,6 @@ def undecided(bench: Bench, scorer: Scorer, model: list[int]) -> float:
 
 
 def _cost(scorer: Scorer, scores: dict[int, Score], i: int) -> tuple[int, int]:
-    """Return the complexity of a hypothesis: how rare its kind is, and its parameters, searched values included."""
-    h = scorer.library[i]
-    kind = Effect.COMPLEXITY if h.effect is None else h.effect.COMPLEXITY
-    return kind, h.effective_parameters(scores[i].count)
-
-
-def _simpler(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Return whether one complexity is less: a commoner kind that needs more parameters for the same is none."""
-    return one != other and all(mine <= its for mine, its in zip(one, other, strict=True))
+    """Return the complexity of a hypothesis: rarer kinds are more complex, then those with more parameters."""
+    effect = scorer.library[i].effect
+    return (Effect.COMPLEXITY if effect is None else effect.complexity, scores[i].count)

@@ -142,6 +142,11 @@ class Friction(Effect):
         """Number of free linear parameters: a servo stands off by all of its friction, whose size is searched."""
         return (1 if self.form.endswith("_viscous") else 0) if "servo" in self.form else None
 
+    @property
+    def complexity(self) -> int:
+        """As common as a play, where it is one with the response of a servo besides."""
+        return self.COMPLEXITY if self.freedom is None else self.COMPLEXITY + 1
+
     def pinned(self, scene: Scene) -> Array | None:
         """Return the share, and nan for a free viscous part."""
         return None if self.freedom is None else np.array([1.0] + self.freedom * [np.nan])

@@ -210,7 +210,7 @@ def _drivers(scene: Scene, channel: str) -> list[str]:
     group, place = scene.observations.predict, scene.channels.index(channel)
     if group == "effort":
         return [f"joint:{joint_of(channel)}"] if joint_of(channel) in scene.moved else []
-    own = [channel] if np.nanstd(scene.simulated[:, place]) > 0.0 else []
+    own = [channel] if channel not in scene.turned and np.nanstd(scene.simulated[:, place]) > 0.0 else []
     return own + ([f"joint:{j}" for j in scene.moved] if group == "wrench" else [])
 
 

@@ -102,7 +102,8 @@ class Gain(Effect):
         if scene.observations.predict == "position":
             return
         spread = np.nanstd(scene.simulated, axis=0)
-        yield from (cls(name) for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+        alive = (name for name, s in zip(scene.channels, spread, strict=True) if s > 0.0)
+        yield from (cls(name) for name in alive if name not in scene.turned)
 
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Return what it follows: the channel's own signal."""
@@ -200,6 +201,8 @@ class Saturation(Downstream):
         if scene.observations.predict == "targets":
             return
         for place, name in enumerate(scene.channels):
+            if name in scene.turned:
+                continue
             y = scene.measured[:, place]
             y = y[np.isfinite(y)]
             for upper in (True, False):

@@ -229,6 +229,11 @@ class Traits(Words):
         return None
 
     @property
+    def complexity(self) -> int:
+        """Of its kind, or of what it is of its kind."""
+        return self.COMPLEXITY
+
+    @property
     def interpolation(self) -> str:
         """Of clocks: what lies between two rows to it, see `BETWEEN`."""
         return ""

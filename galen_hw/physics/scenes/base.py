@@ -376,6 +376,11 @@ class Scene(Operated):
         return None
 
     @property
+    def turned(self) -> tuple[str, ...]:
+        """Channels that are turns since the first row, and no readings: they have neither scale nor limit."""
+        return ()
+
+    @property
     def commanded(self) -> bool:
         """Whether what is compared answers to a command, which stands from one row to the next; a simulated answer does not."""
         return self.observations.predict == "position" and self.observations.simulation is None

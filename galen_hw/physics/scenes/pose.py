@@ -155,7 +155,11 @@ class ArmScene(Scene):
 
 
 class PoseScene(ArmScene):
-    """Compared: position of the tip (m) and, where tracked, orientation as a rotation vector from the simulated one (rad)."""
+    """Compared: position of the tip (m) and, where tracked, orientation as a rotation vector from the simulated one (rad).
+
+    Of a motion that vector stands on how far the simulated orientation has turned since the segment began, about each axis of
+    the base: what is late is late in that too.
+    """
 
     @property
     def channels(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -168,14 +172,20 @@ class PoseScene(ArmScene):
         """Metres and radians."""
         return ("m",) * 3 + ("rad",) * (len(self.channels) - 3)
 
+    @property
+    def turned(self) -> tuple[str, ...]:
+        """The orientation."""
+        return self.channels[3:]
+
     @cached_property
     def measured(self) -> Array:
-        """Position, and the rotation vector from simulated to measured orientation."""
+        """Position, and the rotation vector from simulated to measured orientation, on how far that has turned."""
         position = self.observations.matrix(*POSITION)
         if len(self.channels) == 3:
             return position
         R = rotation_from_quaternion(self.observations.matrix(*QUATERNION))
-        return np.concatenate([position, rotation_log(R @ np.swapaxes(self._pose[:, :3, :3], 1, 2))], axis=1)
+        off = rotation_log(R @ np.swapaxes(self._pose[:, :3, :3], 1, 2))
+        return np.concatenate([position, self.simulated[:, 3:] + off], axis=1)
 
     @property
     def raw_residual(self) -> Array:
@@ -197,9 +207,13 @@ class PoseScene(ArmScene):
 
     @cached_property
     def simulated(self) -> Array:
-        """Position, and zeros for the orientation: the measured one is written from it."""
-        position = self._pose[:, :3, 3]
-        return np.concatenate([position, np.zeros((len(self), len(self.channels) - 3))], axis=1)
+        """Position, and how far the orientation has turned since the segment began; of poses without a clock zeros."""
+        position, turned = self._pose[:, :3, 3], np.zeros((len(self), len(self.channels) - 3))
+        R = self._pose[:, :3, :3]
+        for part in self.segments if self.clock and turned.shape[1] else ():
+            steps = rotation_log(R[part][1:] @ np.swapaxes(R[part][:-1], 1, 2))
+            turned[part][1:] = np.cumsum(steps, axis=0)
+        return np.concatenate([position, turned], axis=1)
 
     def _answer(self, screw: Array) -> Array:
         move = screw[:, :3] + np.cross(screw[:, 3:], self.simulated[:, :3])
