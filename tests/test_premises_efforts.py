@@ -1,6 +1,7 @@
 """Efforts against the rigid model: gravity along any direction, and a link whose body the file leaves out."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,3 +125,18 @@ def test_what_is_no_missing_body_is_left_to_the_search(
 ) -> None:
     """Friction, a link that does weigh nothing, and a load at the sensor beyond such a link."""
     assert not recorded(machine, believed, friction=friction).remarks
+
+
+def test_external_torques_hold_nothing_of_the_model() -> None:
+    """Constants and noise alone, as an observer gives them that takes off the whole model; a unit is no observer."""
+    machine = arm(load=0.8)
+    seen = recorded(machine, machine).observations
+    names = [f"joint.{name}.effort" for name in machine.joint_names]
+    rng = np.random.default_rng(5)
+    bare = {name: 0.2 + 0.02 * rng.normal(size=len(seen)) for name in names}
+    (found,) = examined(replace(seen, columns=dict(seen.columns) | bare)).refused
+    assert found.premise == "effort_gravity"
+    assert "external torques" in found.what
+    small = {name: 1e-3 * seen.columns[name] for name in names}
+    said = examined(replace(seen, columns=dict(seen.columns) | small)).remarks
+    assert not any("external torques" in one.what for one in said)

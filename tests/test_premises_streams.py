@@ -174,3 +174,23 @@ def test_joints_whose_columns_stand_in_another_order_are_refused(order: tuple[in
     (found,) = refused
     moved = [seen.joint_names[k] for k in range(4) if order[k] != k]
     assert found.columns == tuple(f"joint.{n}.{kind}" for n in moved for kind in ("position", "effort"))
+
+
+@pytest.mark.parametrize(("unit", "newtons"), [("kgf", 9.80665), ("lbf", 4.4482216), ("", 1.0), ("", 1.3)])
+def test_a_push_in_another_unit_is_told_by_the_believed_compliance(unit: str, newtons: float) -> None:
+    """By one factor of all joints, which a unit has; of joints that are softer than believed, none."""
+    machine, rng = arm(load=0.0), np.random.default_rng(2)
+    q = np.repeat(rng.uniform(-1.0, 1.0, size=(30, 4)), 10, axis=0)
+    force = rng.uniform(-200.0, 200.0, size=(300, 3))
+    belief = Belief(robot=machine, compliance={"shoulder": 2e-5, "elbow": 3e-5})
+    columns = {f"joint.{n}.position": x for n, x in zip(machine.joint_names, q.T, strict=True)}
+    columns |= {f"applied.force.{a}": f for a, f in zip("xyz", force.T, strict=True)}
+    columns |= {name: np.zeros(300) for name in PLACE}
+    true = scene_of(Observations("pose", columns, None, belief)).simulated[:, :3]
+    seen = with_place(Observations("pose", columns, None, belief), true + 1e-5 * rng.normal(size=true.shape))
+    read = {f"applied.force.{a}": f / newtons for a, f in zip("xyz", force.T, strict=True)}
+    found = examined(replace(seen, columns=dict(seen.columns) | read))
+    assert [one.premise for one in found.remarks] == (["push_units"] if unit else [])
+    if unit:
+        assert unit in found.remarks[0].what
+        assert found.observations.matrix(*read) == pytest.approx(force)

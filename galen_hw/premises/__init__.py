@@ -54,6 +54,7 @@ PREMISES: Final = (
     "pose_frames.TargetFrames",
     "moved_tracker.MovedTracker",
     "pushes.PushSigns",
+    "pushes.PushUnits",
     "joint_reading.JointReading",
     "link_lengths.LinkLengths",
     "streams.ApartClocks",

@@ -59,6 +59,13 @@ class Efforts:
         each = [(x - Q @ (Q.T @ x)) / s for Q, x, s in zip(self.beside, np.moveaxis(values, 1, 0), size, strict=True)]
         return np.concatenate(each)
 
+    @property
+    def nothing(self) -> bool:
+        """Return whether the measured efforts are far smaller than the simulated, beside friction, and not these in a unit."""
+        y, x = (self.own(one[:, :, None]).ravel() for one in (self.scene.measured, self.scene.simulated))
+        alike = float(y @ x) ** 2 / max(float(y @ y) * float(x @ x), 1e-300)
+        return float(y @ y) < CRITERIA.small_turn * float(x @ x) and alike < CRITERIA.half
+
     def unexplained(self, efforts: Array) -> float:
         """Return the share of the measured efforts' square, beside friction, that efforts (N, C) do not explain."""
         whole, rest = (self.own(x[:, :, None]) for x in (self.scene.measured, self.scene.measured - efforts))
@@ -75,6 +82,10 @@ class EffortGravity:
         """Yield one remark where another direction explains the efforts, with gravity's own size, and the named one does not."""
         efforts = Efforts.of(seen)
         if efforts is None:
+            return
+        if efforts.nothing:
+            what = "the efforts hold neither weight nor acceleration of the model: are they an observer's external torques?"
+            yield Remark(self.KEY, what, "record what the joints bear", efforts.scene.channels, Action.REFUSED)
             return
         found = gravity_of(efforts, seen.belief.gravity)
         if found is None:

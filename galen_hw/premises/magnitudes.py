@@ -62,7 +62,10 @@ def _folded(seen: Observations, scene: Scene, least: float) -> list[int]:
         np.sum((y - x - np.mean(y - x, axis=0)) ** 2, axis=0),
     )
     crosses = np.minimum(np.mean(inside, axis=0), np.mean(x > 0.0, axis=0)) > CRITERIA.gross_left
-    alone = (folded < CRITERIA.gross_gain * plain) & crosses
+    whole = np.sum((y - np.mean(y, axis=0)) ** 2, axis=0)
+    # Of poses that are wrong a folded simulation may be less wrong; efforts have friction that no simulation has.
+    explained = (folded < CRITERIA.half * whole) | (scene.observations.predict == "effort")
+    alone = (folded < CRITERIA.gross_gain * plain) & crosses & explained
     # All that a joint's motor does has both signs in a motion, whatever it bears: where none has, one load is enough to tell.
     if len(never) == len(scene.channels) > 1 and np.sum(folded) < CRITERIA.half * np.sum(plain):
         return never

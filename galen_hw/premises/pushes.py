@@ -9,8 +9,9 @@ import numpy as np
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
-from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.unit_tables import FORCES, units_of
 from galen_hw.spatial import Array
 
 FORCE: Final = tuple(f"applied.force.{a}" for a in "xyz")
@@ -51,6 +52,41 @@ class PushSigns:
             what = f"{told}: its sign is opposite, the arm's reaction and not the push"
             # Not turned round: other sets of the same session, whose pushes say less, would keep the wrong sign.
             yield Remark(self.KEY, what, "turn applied.force round, in all sets alike", FORCE, Action.REFUSED)
+
+
+class PushUnits:
+    """Tests whether the force on the tip is in another unit: the believed compliance gives as a factor of one unit says."""
+
+    KEY: ClassVar[str] = "push_units"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the force is repaired where that factor of it leaves hardly anything."""
+        names = (*FORCE, *POSITION)
+        if seen.predict != "pose" or not seen.belief.compliance or not seen.has_all(*names):
+            return
+        some = seen.taken(known_rows(seen, (*names, *joint_positions(seen))))
+        if len(some) < CRITERIA.pieces * CRITERIA.fewest_vectors:
+            return
+        bent, free = (
+            scene_of(replace(some, belief=replace(some.belief, compliance=one))) for one in (some.belief.compliance, {})
+        )
+        give, expected = free.residual[:, :3], (bent.simulated - free.simulated)[:, :3]
+        for part in some.segments:
+            give[part] -= give[part].mean(axis=0)
+            expected[part] -= expected[part].mean(axis=0)
+        size = float(np.sum(expected**2))
+        if not size > 0.0:
+            return
+        factor = float(np.sum(give * expected)) / size
+        left = [float(np.sum((give - k * expected) ** 2)) for k in (factor, 1.0)]
+        units = units_of(1.0 / factor, FORCES) if factor > 0.0 else []
+        if not units or left[0] > min(CRITERIA.gross_left * float(np.sum(give**2)), CRITERIA.gross_gain * left[1]):
+            return
+        unit = units[0]
+        what = f"the tip gives {factor:.3g} times as much as applied.force says, all joints alike: it is in {unit}"
+        repaired = with_columns(seen, {name: seen.columns[name] / FORCES[unit] for name in FORCE})
+        yield Remark(self.KEY, what, "", FORCE, Action.REPAIRED, repaired)
 
 
 def _compliance(F: Array, d: Array) -> tuple[float, float]:

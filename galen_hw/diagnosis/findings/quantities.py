@@ -85,7 +85,10 @@ def headline(finding: Finding, *, most: int = 3) -> str:
         most: parameters that are named; of more that are alike (the moments of a body) the best known.
     """
     parts, kind = _by_name(finding.parameters), effect_class(finding.effect)
-    words = [_range(name, parts[name]) for name in _named(parts, kind.HEAD, most)]
+    named = _named(parts, kind.HEAD, most)
+    # Of parameters that are known together alone, as a polynomial's, none says how large it is.
+    sure = SIGNAL not in parts or any(_sure(value) for name in named for value in parts[name])
+    words = [_range(name, parts[name]) for name in named] if sure else []
     if MOMENT in parts and not kind.EPISODIC:
         moments = sorted(parts[MOMENT], key=lambda value: value.value)
         words.append(f"{' and '.join(f'from {text(MOMENT, value)}' for value in moments[:most])} on")
