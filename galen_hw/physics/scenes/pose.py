@@ -1,5 +1,7 @@
 """The tracked pose of the tool tip, and tracked points whose registration nobody knows."""
 
+from typing import Any
+
 import numpy as np
 
 from galen_hw.errors import UsageError
@@ -208,11 +210,17 @@ class PoseScene(ArmScene):
     @cached_property
     def simulated(self) -> Array:
         """Position, and how far the orientation has turned since the segment began; of poses without a clock zeros."""
-        position, turned = self._pose[:, :3, 3], np.zeros((len(self), len(self.channels) - 3))
-        R = self._pose[:, :3, :3]
-        for part in self.segments if self.clock and turned.shape[1] else ():
-            steps = rotation_log(R[part][1:] @ np.swapaxes(R[part][:-1], 1, 2))
-            turned[part][1:] = np.cumsum(steps, axis=0)
+        position, R = self._pose[:, :3, 3], self._pose[:, :3, :3]
+        if len(self.channels) == 3:
+            return position
+
+        def run(part: slice, state: Any) -> tuple[Array, tuple[Array, Array]]:
+            last, far = (R[part][0], np.zeros(3)) if state is None else state
+            steps = rotation_log(R[part] @ np.swapaxes(np.concatenate([last[None], R[part][:-1]]), 1, 2))
+            out = far + np.cumsum(steps, axis=0)
+            return out, (R[part][-1], out[-1])
+
+        turned = self._carried("turned", np.zeros((len(self), 3)), run) if self.clock else np.zeros((len(self), 3))
         return np.concatenate([position, turned], axis=1)
 
     def _answer(self, screw: Array) -> Array:
