@@ -194,3 +194,17 @@ def test_a_push_in_another_unit_is_told_by_the_believed_compliance(unit: str, ne
     if unit:
         assert unit in found.remarks[0].what
         assert found.observations.matrix(*read) == pytest.approx(force)
+
+
+def test_a_wrench_whose_rows_are_looked_at_far_apart_is_judged_at_rest() -> None:
+    """Of 12000 rows one in thirty: a clock that was set between two of them makes no acceleration without end."""
+    t = np.arange(12000) / 100.0
+    machine, rng = arm(load=0.5), np.random.default_rng(6)
+    q = 0.6 * np.sin(np.outer(t, 0.3 + 0.1 * np.arange(4)) + np.arange(4))
+    columns = {"time": t - np.where(t > 60.0, 0.3, 0.0)}
+    columns |= {f"joint.{n}.position": x for n, x in zip(machine.joint_names, q.T, strict=True)}
+    columns |= {f"wrench.{kind}.{a}": rng.normal(size=12000) for kind in ("force", "torque") for a in "xyz"}
+    belief = Belief(robot=machine, bias_free=True, dynamic=True)
+    for time in (columns["time"], np.where(t > 60.0, t - 0.3 * np.round(t - 60.0), t)):
+        found = examined(Observations("wrench", columns | {"time": time}, None, belief))
+        assert all(isinstance(one.what, str) for one in found.remarks)

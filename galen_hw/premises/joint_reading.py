@@ -17,9 +17,9 @@ from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.effort_units import beside_friction
 from galen_hw.premises.registration import poses
 from galen_hw.premises.rotations import scaled, turned_alike
-from galen_hw.premises.thinning import Rates, thinned
+from galen_hw.premises.thinning import DIFFERENTIABLE_S, Rates, thinned
 from galen_hw.premises.unit_tables import JOINT_ANGLES, JOINT_LENGTHS
-from galen_hw.premises.wrench_reading import FORCE, readings
+from galen_hw.premises.wrench_reading import FORCE, at_rest, readings
 from galen_hw.spatial import Array, rotation_from_quaternion
 
 OWN: Mapping[str, tuple[str, ...]] = {
@@ -286,7 +286,12 @@ def _of_wrench(some: Observations) -> Array | None:
     """Return the unexplained share (1,) of the force, whatever weighs there."""
     if not some.has_all(*FORCE):
         return None
-    one = next(iter(readings(some))).plain
+    # Differentiated here between the chosen rows, which may be too far apart.
+    spaced = some.time is not None and float(np.median(np.diff(some.time))) <= DIFFERENTIABLE_S
+    reading = next(iter(readings(some if spaced or some.simulation is not None else at_rest(some))))
+    if not np.isfinite(reading.expected).all():
+        return None
+    one = reading.plain
     return np.array([one.unexplained if one.Q[0, 0] > 0.0 else 1.0])
 
 
