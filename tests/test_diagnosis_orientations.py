@@ -45,7 +45,7 @@ def test_a_tracker_that_is_late_is_late_in_its_orientation(late: float) -> None:
 
 
 def test_what_has_turned_is_no_reading() -> None:
-    """What is compared is the rotation from the simulated orientation, whatever that has turned before."""
+    """Compare the rotation from the simulated orientation, whatever that has turned before."""
     scene, still = scene_of(recorded(0.0)), scene_of(recorded(0.0, clock=False))
     assert scene.residual == pytest.approx(still.residual, abs=1e-9)
     assert np.ptp(scene.simulated[:, 3:], axis=0).min() > 0.1

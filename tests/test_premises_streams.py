@@ -208,3 +208,10 @@ def test_a_wrench_whose_rows_are_looked_at_far_apart_is_judged_at_rest() -> None
     for time in (columns["time"], np.where(t > 60.0, t - 0.3 * np.round(t - 60.0), t)):
         found = examined(Observations("wrench", columns | {"time": time}, None, belief))
         assert all(isinstance(one.what, str) for one in found.remarks)
+
+
+def test_two_poses_that_are_visited_in_turn_are_no_interleaved_runs() -> None:
+    """A row a pose, three seconds apart, as a test of repeatability goes to and fro."""
+    q = motion(1000)[1]
+    seen = efforts(np.where(np.arange(1000)[:, None] % 2, q[100], q[500]) + 1e-5 * q, 3.0 * np.arange(1000.0))
+    assert "interleaved_runs" not in {remark.premise for remark in examined(seen).remarks}

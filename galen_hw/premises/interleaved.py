@@ -7,14 +7,15 @@ import numpy as np
 
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage
-from galen_hw.premises.clock import moving
+from galen_hw.premises.clock import PERIODS_S, moving
 from galen_hw.premises.criteria import CRITERIA
 
 
 class InterleavedRuns:
     """Tests whether all that moves is far nearer to the row before the last than to the last one.
 
-    A motion is twice as far away after two rows as after one; poses in any order are as far from all others.
+    A motion is twice as far away after two rows as after one; poses in any order are as far from all others. Two poses that are
+    visited in turn are further apart in time than rows of a motion.
     """
 
     KEY: ClassVar[str] = "interleaved_runs"
@@ -23,7 +24,7 @@ class InterleavedRuns:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a refusal."""
         moves = [q for q in moving(seen) if len(q) >= CRITERIA.stretch]
-        if seen.time is None or not moves:
+        if seen.time is None or not moves or float(np.median(np.diff(seen.time))) > PERIODS_S[1]:
             return
         steps = [[float(np.mean((q[k:] - q[:-k]) ** 2)) for k in (1, 2)] for q in moves]
         if all(second < CRITERIA.gross_gain * first for first, second in steps):

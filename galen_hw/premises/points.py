@@ -12,8 +12,6 @@ from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
 THOUSAND: Final = 1000.0
-GAP: Final = 0.1
-"""Of the smallest whole number: the largest decimal is less, or the two are one signal."""
 
 
 class DecimalPoints:
@@ -43,16 +41,18 @@ class DecimalPoints:
         yield Remark(self.KEY, what, "", tuple(found), Action.REPAIRED, with_columns(seen, columns))
 
 
-def _lost(values: Array) -> Mask:
-    """Return which cells (N,) are a thousand times what they were."""
+def _lost(values: Array, *, gap: float = 0.1) -> Mask:
+    """Return which cells (N,) are a thousand times what they were.
+
+    Args:
+        gap: of the smallest whole number; the largest decimal is less, or the two are one signal.
+    """
     known, size = np.isfinite(values), np.abs(values)
     lost = known & (size >= THOUSAND) & (values == np.round(values))
-    others = size[known & ~lost]
-    few = min(int(lost.sum()), len(others)) < CRITERIA.fewest_split
-    if few or np.max(others) >= THOUSAND or np.mean(others == np.round(others)) > CRITERIA.half:
-        return np.zeros(len(values), dtype=bool)
-    low, high, largest = np.min(size[lost]) / THOUSAND, np.max(size[lost]) / THOUSAND, np.max(others)
+    whole, others, none = size[lost], size[known & ~lost], np.zeros(len(values), dtype=bool)
+    if min(len(whole), len(others)) < CRITERIA.fewest_split or np.mean(others == np.round(others)) > CRITERIA.half:
+        return none
+    low, high, largest = np.min(whole) / THOUSAND, np.max(whole) / THOUSAND, np.max(others)
     among = np.sum((others >= low) & (others <= high))
     # What is so large by itself goes on from the others, and does not fill the hole in them.
-    inside = low < largest < GAP * THOUSAND * low and among <= CRITERIA.gross_left * lost.sum()
-    return lost if inside else np.zeros(len(values), dtype=bool)
+    return lost if low < largest < gap * np.min(whole) and among <= CRITERIA.gross_left * len(whole) else none

@@ -22,8 +22,6 @@ ORDERS: Final = (1, 2)
 """Of the filters that people run forth and back: 1 / (1 + (f / cut-off)^2), which means over a window are nearly too, and ^4."""
 QUICKEST: Final = 0.05
 """Of the rate of the rows: quicker, a motion that is differentiated may lack as much."""
-ITERATIONS: Final = 4
-"""Of Gauss and Newton on a delay: each leaves the square of what the one before has left."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +32,17 @@ class _Streams:
     measured: Array
     simulated: Array
 
-    def late(self, basis: Array) -> tuple[Array, Array]:
-        """Return the delays (N,) s in the span of a basis (N, k) that suit best, and the unexplained shares (C,) beside them."""
+    def late(self, basis: Array, *, iterations: int = 4) -> tuple[Array, Array]:
+        """Return the delays (N,) s in the span of a basis (N, k) that suit best, and the unexplained shares (C,) beside them.
+
+        Args:
+            iterations: of Gauss and Newton; each leaves the square of what the one before has left.
+        """
         delay, weight = np.zeros(len(self.time)), np.ones(self.measured.shape[1])
-        for _ in range(ITERATIONS):
+        for _ in range(iterations):
             x = self._at(self.time - delay)
             slope = np.gradient(x, self.time, axis=0)
-            columns = (
-                -slope[:, :, None] * basis[:, None, :] - np.mean(-slope[:, :, None] * basis[:, None, :], axis=0)
-            ) * weight[:, None]
+            columns = _less_mean(-slope[:, :, None] * basis[:, None, :]) * weight[:, None]
             rest = _less_mean(self.measured - x) * weight
             delay = delay + basis @ np.linalg.lstsq(columns.reshape(-1, basis.shape[1]), rest.ravel(), rcond=None)[0]
             # A channel counts by what it can tell.
@@ -111,12 +111,12 @@ class SmoothedStream:
         slowest, quickest = 4.0 / float(np.ptp(streams.time)), QUICKEST / step
         if slowest >= quickest:
             return
-        best = min((_cut_off(streams, order, step, slowest, quickest) for order in ORDERS), key=lambda one: one[1])
-        behind = streams.unexplained(_smoothed(streams.simulated, step, best[0], best[2]))
+        each = [_cut_off(streams, order, step, slowest, quickest) for order in ORDERS]
+        cut_off, behind = min(each, key=lambda one: float(np.mean(one[1])))
         if not _far_better(behind, constant):
             return
         what = (
-            f"what is compared lacks its quick motion without being late, as behind a low-pass of {best[0]:.2g} Hz that was run "
+            f"what is compared lacks its quick motion without being late, as behind a low-pass of {cut_off:.2g} Hz that was run "
             "forth and back (or a mean over rows before and after): its simulation was not smoothed"
         )
         todo = "compare it as it was measured, or smooth the joints' positions alike"
@@ -151,14 +151,16 @@ def _far_better(one: Array, other: Array) -> bool:
     )
 
 
-def _cut_off(streams: _Streams, order: int, step: float, low: float, high: float) -> tuple[float, float, int]:
-    """Return the best cut-off, Hz, of a filter of some order, what it leaves, and the order."""
+def _cut_off(streams: _Streams, order: int, step: float, low: float, high: float) -> tuple[float, Array]:
+    """Return the best cut-off, Hz, of a filter of some order, and the unexplained shares (C,) behind it."""
 
-    def cost(log_f: float) -> float:
-        return float(np.mean(streams.unexplained(_smoothed(streams.simulated, step, float(np.exp(log_f)), order))))
+    def behind(log_f: float) -> Array:
+        return streams.unexplained(_smoothed(streams.simulated, step, float(np.exp(log_f)), order))
 
-    found = minimize_scalar(cost, bounds=(np.log(low), np.log(high)), method="bounded")
-    return float(np.exp(found.x)), float(found.fun), order
+    found = minimize_scalar(
+        lambda log_f: float(np.mean(behind(log_f))), bounds=(np.log(low), np.log(high)), method="bounded"
+    )
+    return float(np.exp(found.x)), behind(found.x)
 
 
 def _smoothed(x: Array, step: float, cut_off: float, order: int) -> Array:

@@ -22,7 +22,9 @@ def saturations(scene: Scene, residual: Array, simulated: Array, *, few: int = 5
     """
     out = []
     for c, name in enumerate(scene.channels):
-        for sign in () if name in scene.turned else (1.0, -1.0):
+        if name in scene.turned:
+            continue
+        for sign in (1.0, -1.0):
             w, r = sign * simulated[:, c], sign * (residual[:, c] - np.median(residual[:, c]))
             order = np.argsort(-w)
             w, r = w[order], r[order]

@@ -100,7 +100,7 @@ class Payload(Effect):
     def remark(self) -> str:
         """A sentence on what changed, and when."""
         if self.still:
-            return "It is weight alone, without inertia, as a controller takes it off that is set to another tool."
+            return "It is weight alone, without inertia: a controller takes it off for another tool, or a filter passes no more."
         if self.by:
             return f"What is told a unit of {self.by.removeprefix('covariate.')} goes in proportion to {self.by}."
         return "" if self.since is None else f"It is so from {self.since:.4g} s on."
