@@ -1,5 +1,7 @@
 """Errors that repeat with a joint's position: a gear's in each turn of its motor, an encoder's in each of its own."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.kinematics import UrdfRobot
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
-from galen_hw.spatial import quaternion_from_rotation
+from galen_hw.spatial import Array, quaternion_from_rotation
 from tests.test_diagnosis import answer, named
 from tests.test_premises_processed import URDF
 
@@ -52,22 +54,39 @@ def test_a_joint_that_moves_between_segments_alone_has_no_ripple() -> None:
     assert not ripples(scene, rest, Rows(tuple(scene.segments)), np.zeros(len(scene.channels)))
 
 
-def test_an_eccentric_encoder_errs_once_a_turn() -> None:
-    """The true position is the reading plus 0.8 mrad times a sine of it; poses are tracked."""
+def tracked(error: Callable[[Array], Array]) -> Observations:
+    """Poses of an arm whose joints are where they read plus an error (N, 4) of the readings (N, 4)."""
     t, robot = np.arange(6000) / 60.0, UrdfRobot(URDF, sensor_link="hand")
     read = np.stack([(2.2 if k == 0 else 0.8) * np.sin((0.4 + 0.17 * k) * t + k) for k in range(4)], axis=1)
-    true = read.copy()
-    true[:, 0] += 8e-4 * np.sin(read[:, 0] + 0.9)
-    rng, T = np.random.default_rng(3), robot.sensor_pose(true)
+    rng, T = np.random.default_rng(3), robot.sensor_pose(read + error(read))
     place = T[:, :3, 3] + 1e-4 * rng.normal(size=(len(t), 3))
     turn = quaternion_from_rotation(T[:, :3, :3])
     columns = {"time": t} | {f"joint.{n}.position": read[:, k] for k, n in enumerate(robot.joint_names)}
     columns |= {f"pose.position.{a}": place[:, k] for k, a in enumerate("xyz")}
     columns |= {f"pose.orientation.{a}": turn[:, k] + 2e-4 * rng.normal(size=len(t)) for k, a in enumerate("xyzw")}
-    found = answer(Observations("pose", columns, None, Belief(robot=robot)))
+    return Observations("pose", columns, None, Belief(robot=robot))
+
+
+def test_an_eccentric_encoder_errs_once_a_turn() -> None:
+    """The true position is the reading plus 0.8 mrad times a sine of it; poses are tracked."""
+    found = answer(tracked(lambda read: 8e-4 * np.sin(read + 0.9) * np.array([1.0, 0.0, 0.0, 0.0])))
     assert named(found) == ["joint_scale"]
     parameters = found.findings[0].parameters
     for name, true_value in (("sine", 8e-4 * np.cos(0.9)), ("cosine", 8e-4 * np.sin(0.9))):
         assert abs(parameters[name].value - true_value) < 4.0 * parameters[name].std
         assert parameters[name].std < 5e-5
     assert "once a turn" in found.findings[0].says
+
+
+@pytest.mark.parametrize(("joint", "source"), [(3, 2), (2, 0)])
+def test_a_joint_that_goes_along_with_one_before_it(joint: int, source: int) -> None:
+    """The motor of a wrist sits before the joints that it passes, and counts their turns too."""
+    found = answer(tracked(lambda read: 0.004 * read[:, [source]] * np.eye(4)[joint]))
+    assert named(found) == ["joint_scale"]
+    (finding,) = found.findings
+    names = UrdfRobot(URDF, sensor_link="hand").joint_names
+    assert finding.joints == [names[joint]]
+    assert f"goes along with {names[source]}" in finding.says
+    coupling = finding.parameters["coupling"]
+    assert abs(coupling.value - 0.004) < 4.0 * coupling.std
+    assert coupling.std < 1e-4

@@ -662,11 +662,11 @@ def test_a_force_in_the_torques_columns_is_put_right(make: Callable[[], Columns]
     assert np.array_equal(matrix(dict(found.observations.columns), FORCE), f)
 
 
-@pytest.mark.parametrize(("rows", "of"), [(1, "before"), (-1, "after")])
-def test_a_wrench_beside_the_next_pose_is_refused(rows: int, of: str):
+@pytest.mark.parametrize(("rows", "side"), [(1, "late"), (-1, "early")])
+def test_a_wrench_beside_the_next_pose_is_refused(rows: int, side: str):
     """Two lists of which one begins at 0 and the other at 1."""
     original = static()
     wrench = np.roll(matrix(original, FORCE + TORQUE), rows, axis=0)
     found = examined(seen(original | dict(zip(FORCE + TORQUE, wrench.T, strict=True))))
     assert [r.action for r in found.remarks] == [Action.REFUSED]
-    assert f"each row's wrench is that of the pose {of}" in found.remarks[0].what
+    assert f"what is compared comes 1 row {side}" in found.remarks[0].what

@@ -8,6 +8,7 @@ from galen_hw.errors import EXIT_FOUND, EXIT_OK
 from galen_hw.extras import need
 from galen_hw.tools.answer import stamped
 from galen_hw.tools.robot_given import add_robot
+from galen_hw.units import number_in
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-repair", action="store_true", help="refuse what would be put right in memory: units, axes, clocks"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the blocks that are set aside")
+    parser.add_argument(
+        "--time-limit",
+        metavar="S",
+        type=number_in("s"),
+        default=480.0,
+        help="stop the search for better models of a recording after so many seconds, and judge the best so far (480; 0: never)",
+    )
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, for many recordings")
     parser.epilog = "example: galen-hw diagnose run.mcap --report report.html --save-model retractor+cable.json"
 

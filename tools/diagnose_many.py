@@ -1,6 +1,7 @@
 """Diagnose what the command line names: one recording, several, or several as one."""
 
 import argparse
+import math
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from galen_hw.tools.robot_given import keys_given, robot_given
 
 def answers_to(paths: list[Place], args: argparse.Namespace) -> list[Diagnosis]:
     """One after the other, or in parallel on all cores (on a Dask cluster where its address is given)."""
+    if args.time_limit < 0.0:
+        where = f"--time-limit {args.time_limit:g}"
+        raise UsageError("not a time", where=where, todo="give seconds, or 0 for as long as it takes")
     if len(paths) == 1 or args.together:
         with working(f"reading {paths[0].name}") as progress:
             return [_whole(paths, args, several=False, progress=progress)]
@@ -100,6 +104,7 @@ def _one(
         seed=args.seed,
         repair=not args.no_repair,
         progress=progress,
+        time_limit=args.time_limit or math.inf,
         names=_urls(places),
         holdout_names=_urls(judges),
     )

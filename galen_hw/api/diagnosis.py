@@ -11,6 +11,7 @@ from galen_hw.api.tool import Tool, load_tool
 from galen_hw.diagnosis.recordings import diagnose_recordings
 from galen_hw.diagnosis.report.summary import summary
 from galen_hw.diagnosis.result import Diagnosis, Finding, Verdict
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import UsageError
 from galen_hw.extras import need
@@ -109,6 +110,7 @@ def diagnose(
     seed: int = 0,
     repair: bool = True,
     progress: Callable[[str, float], None] | None = None,
+    time_limit: float = LIMITS.seconds,
 ) -> DiagnosisResult:
     """Locate, name, model and judge what a model left out of a recording.
 
@@ -120,6 +122,7 @@ def diagnose(
         seed: of the blocks that are set aside.
         repair: put right in memory what is certain (units, axes, clocks); else the same is refused.
         progress: told the stage and its share (0 to 1) of the whole.
+        time_limit: s, after which the search for better models stops and the best so far is judged; `math.inf`: never.
 
     Raises:
         UsageError: a recording cannot be read or compared: what, where, what to do.
@@ -141,7 +144,11 @@ def diagnose(
     share, judges = (float(holdout), []) if isinstance(holdout, (int, float)) else (0.0, prepared(holdout))
     if not 0.0 <= share < 0.9:
         raise UsageError(f"{share:g} is no share", where="holdout", todo="give a number from 0 to 0.9, or recordings")
-    work = diagnose_recordings(recordings, holdout=judges, share=share, seed=seed, repair=repair, progress=progress)
+    if not time_limit > 0.0:
+        raise UsageError(f"{time_limit:g} s is no time", where="time_limit", todo="give seconds above 0, or math.inf")
+    work = diagnose_recordings(
+        recordings, holdout=judges, share=share, seed=seed, repair=repair, progress=progress, time_limit=time_limit
+    )
     return _result(work, recordings[0], seed)
 
 

@@ -14,6 +14,7 @@ from galen_hw.diagnosis.searching import searched
 from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight
 from galen_hw.diagnosis.settings import BUDGET
+from galen_hw.diagnosis.stats.deadline import Deadline
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Glitches
@@ -87,9 +88,10 @@ class Known:
         return out
 
 
-def benches(scene: Scene, held: float, seed: int) -> tuple[Bench, Bench, list[Glitches]]:
+def benches(scene: Scene, held: float, seed: int, deadline: Deadline) -> tuple[Bench, Bench, list[Glitches]]:
     """Return the bench of the search, that of the first look, and the isolated samples that both exclude."""
-    bench, coarse = Bench(scene, held, seed), Bench(scene, held, seed, BUDGET.coarse)
+    bench = Bench(scene, held, seed, deadline=deadline)
+    coarse = Bench(scene, held, seed, BUDGET.coarse, deadline=deadline)
     glitch = outliers.marked(bench)
     coarse.leave_out(bench.outlier_rows)
     return bench, coarse, glitch
@@ -126,7 +128,7 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
     coarse.learn_noise(columns, extra, above=above)
     ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
     coarse = model.bench
-    if shifts := far_off(model):
+    if (shifts := far_off(model)) and not coarse.deadline.passed():
         # With a wrong clock no effect matched the measured signals: slow ones had passed for noise.
         late = [coarse.raw(effect) for effect in effects]
         coarse.reset()

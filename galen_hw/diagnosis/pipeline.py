@@ -14,6 +14,8 @@ from galen_hw.diagnosis.lack_of_fit import structure_test, trees
 from galen_hw.diagnosis.preprocessing.checks import Screening, held_out, screened
 from galen_hw.diagnosis.searching import pruned, searched
 from galen_hw.diagnosis.selection.proposals import library
+from galen_hw.diagnosis.settings import LIMITS
+from galen_hw.diagnosis.stats.deadline import Deadline
 from galen_hw.diagnosis.validation.flexible_effects import (
     has_flexible_effects,
     predict_unnamed,
@@ -43,6 +45,7 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
     repair: bool = True,
+    time_limit: float = LIMITS.seconds,
 ) -> Work:
     """Diagnose a recording: locate, name, model and judge what the simulation left out.
 
@@ -53,24 +56,27 @@ def diagnose(
         seed: of the choice of blocks.
         progress: told how far the work is.
         repair: put right what is certain (`premises`); else the same is refused.
+        time_limit: s, after which the search for better models stops, and the best so far is judged.
 
     Raises:
         UsageError: the recording cannot be compared at all.
     """
     tell = progress or _silent
     tell("checking the recording", 0.0)
+    deadline = Deadline(time_limit)
     examination = examined(scene.observations, repair=repair)
     raw = scene if holdout is None else holdout
     screening = _comparable(scene, examination)
     scene = screening.scene
     held = 0.0 if holdout is not None else share
     holdout = None if holdout is None else held_out(_alike(holdout, examination, repair=repair), screening.notes)
-    bench, coarse, glitch = benches(scene, held, seed)
+    bench, coarse, glitch = benches(scene, held, seed, deadline)
     tell("simulating every effect", 0.1)
     effects, (columns, coarser) = effect_columns(library(bench), bench, coarse)
     tell("a first look", 0.25)
     known = first_look(bench, coarse, effects, coarser, blind=bool(screening.wrong))
     holdout = restarted(bench, known, holdout)
+    deadline.extend()
     # What moves with the robot cannot be told from noise before it is known what is there: the first noise was too small
     # rather than too large. Now it is learnt from the first model's residual, and everything is tested again.
     tell("learning the noise", 0.4)
@@ -79,7 +85,7 @@ def diagnose(
     learn(bench, generic)
     tell("choosing effects", 0.5)
     searches, structures = searched(bench, effects, columns, generic, blind=bool(screening.wrong), start=known.effects)
-    if not structures and not screening.wrong and (passed := trees.hidden(searches[0][1])):
+    if not (structures or screening.wrong or deadline.passed()) and (passed := trees.hidden(searches[0][1])):
         # Structure that passed for slow noise hides other effects too: all is tested again with it excluded from the noise.
         generic += [structure_test.Family(one.kind, one.basis, local=False) for one in passed]
         also = [Columns((one.channel,), one.basis[:, None, 1:]) for one in passed]
@@ -102,6 +108,7 @@ def diagnose(
     after = claim_before(judged, raw, bench.scene.channels, examination)
     diagnosis = answer(model, selection, judged, structures, screening, glitch, name)
     add_claims(diagnosis, examination, judged, after, bench, lambda found: verdict_of(found, structures, screening))
+    diagnosis.notes[:0] = deadline.note
     tell("done", 1.0)
     return Work(bench, selection, model, judged, structures, diagnosis)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from galen_hw.config.tool_file import terms_in
 from galen_hw.diagnosis.pipeline import Progress, diagnose
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.diagnosis.work import Work
 from galen_hw.errors import UsageError
 from galen_hw.physics.concatenate import joined
@@ -25,6 +26,7 @@ def diagnose_recordings(
     progress: Progress | None = None,
     names: Sequence[str] = (),
     holdout_names: Sequence[str] = (),
+    time_limit: float = LIMITS.seconds,
 ) -> Work:
     """Diagnose one recording, or several of one machine as one.
 
@@ -35,6 +37,7 @@ def diagnose_recordings(
         seed: of the choice of blocks.
         repair: put right in memory what is certain; else the same is refused.
         progress: told how far the work is.
+        time_limit: s, after which the search for better models stops.
         names: how the recordings are called in the answer, and holdout_names: the same of what is held out; else by their paths.
 
     Raises:
@@ -56,7 +59,14 @@ def diagnose_recordings(
         raise UsageError(f"does not compare the channels of {paths[0]}", where=f"--holdout {judges[0]}", todo=todo)
     with named_in(recordings[0]):
         work: Work = diagnose(
-            scene, name=", ".join(paths), holdout=other, share=share, seed=seed, progress=progress, repair=repair
+            scene,
+            name=", ".join(paths),
+            holdout=other,
+            share=share,
+            seed=seed,
+            progress=progress,
+            repair=repair,
+            time_limit=time_limit,
         )
     work.diagnosis.units = dict(zip(scene.channels, scene.units, strict=True))
     concerned = [name for remark in work.diagnosis.premises for name in remark["columns"]]

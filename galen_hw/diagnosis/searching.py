@@ -68,6 +68,8 @@ def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: S
 
     def better_from(found: Search, own: list[Hypothesis]) -> Search:
         """Return what a search finds from the start, if the start is better than what was found; else that."""
+        if bench.deadline.passed():
+            return found
         constants = set() if own else _families(h.effect for h in offsets(bench))
         begun = [(effect, theta) for effect, theta in start if effect.family not in constants]
         if not begun or _families(effect for effect, _ in begun) == _families(h.effect for h in found[1].effects):

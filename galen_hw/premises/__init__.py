@@ -9,6 +9,7 @@ from typing import Final
 
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Claim, Examination, Premise, Remark, Stage, examine
+from galen_hw.premises.parts import by_runs
 
 PREMISES: Final = (
     "cells.LostValues",
@@ -32,8 +33,11 @@ PREMISES: Final = (
     "sampling.Staircase",
     "held_joints.HeldJoints",
     "simulated_motion.SimulatedMotion",
+    "standardised.Standardised",
+    "commands.CommandedRates",
     "normalised.CommonUnit",
     "position_units.PositionUnits",
+    "joints.CopiedPositions",
     "joints.VelocityColumns",
     "joints.SignMagnitude",
     "imu.ImuUnits",
@@ -42,6 +46,7 @@ PREMISES: Final = (
     "channels.StuckChannels",
     "magnitudes.Magnitudes",
     "high_pass.HighPassedWrench",
+    "row_match.RowMatch",
     "wrench_frames.WrenchFrames",
     "units.WrenchUnits",
     "effort_units.EffortUnits",
@@ -52,7 +57,9 @@ PREMISES: Final = (
     "tracked_point.TrackedPoint",
     "pose_frames.PoseFrames",
     "pose_frames.TargetFrames",
+    "rigid_targets.RigidTargets",
     "moved_tracker.MovedTracker",
+    "pushes.PushAxes",
     "pushes.PushSigns",
     "pushes.PushUnits",
     "joint_reading.JointReading",
@@ -78,8 +85,12 @@ def premises() -> tuple[Premise, ...]:
 
 
 def examined(seen: Observations, *, repair: bool = True) -> Examination:
-    """Ask every premise of the table about a recording; see `base.examine`."""
-    return examine(seen, premises(), repair=repair)
+    """Ask every premise of the table about a recording, and about its runs one by one; see `base.examine`."""
+
+    def ask(one: Observations) -> Examination:
+        return examine(one, premises(), repair=repair)
+
+    return by_runs(seen, ask(seen), ask, {one.KEY: one.STAGE for one in premises()})
 
 
 __all__ = [

@@ -63,6 +63,7 @@ class Remark:
         action: what follows.
         repaired: the recording without the mistake, for `Action.REPAIRED`; of a note, as it is to be read.
         claim: physics that the repair is.
+        split: row before which the recording is to be split; 0: nowhere.
     """
 
     premise: str
@@ -72,6 +73,7 @@ class Remark:
     action: Action = Action.NOTE
     repaired: Observations | None = field(default=None, compare=False, repr=False)
     claim: Claim | None = None
+    split: int = 0
 
     @property
     def line(self) -> str:

@@ -229,13 +229,16 @@ def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
     """Return the reading that explains nearly all that any does, far better than the columns as named; empty without one.
 
     A second one that does as well, of other joints, leaves it open. Of the same joints, as of an arm of one, the effort and the
-    position turned round are one and the same: both are given.
+    position turned round are one and the same: both are given. What no other reading nearly explains may leave more: friction of
+    no simple shape is much of a small joint's effort.
     """
     score = {one: _mean_unexplained(left, plain, found) for one, left in found.items()}
     least = min(score.values(), default=1.0)
-    if least > min(CRITERIA.gross_left, CRITERIA.gross_gain * _mean_unexplained(plain, plain, found)):
-        return []
     good = [one for one in found if score[one] <= max(CRITERIA.as_good * least, CRITERIA.small_turn**2)]
+    second = min((score[one] for one in found if one not in good), default=1.0)
+    limit = CRITERIA.gross_gain if least < CRITERIA.gross_gain * second else CRITERIA.gross_left
+    if least > min(limit, CRITERIA.gross_gain * _mean_unexplained(plain, plain, found)):
+        return []
     # Simplest first: of two that are as good, one joint less is turned round, or counted from another zero.
     good = [one for one in good if len(one.joints) == 1 or (one.says and not one.zeros)] or good
     return good if len({(one.joints, one.says) for one in good}) == 1 else []

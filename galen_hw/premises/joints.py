@@ -139,6 +139,30 @@ class VelocityColumns:
             yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen)
 
 
+class CopiedPositions:
+    """Tests for joints whose positions are the same, row by row: one was exported twice, and the other is lost.
+
+    Motors of one gantry, or carriages of a delta, may well move alike: a velocity has to say that the joint moved otherwise.
+    """
+
+    KEY: ClassVar[str] = "copied_positions"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a refusal for each joint that moves as one before it, and not as its velocity."""
+        names = joint_columns(seen, "position") if seen.predict != "position" else []
+        for k, name in enumerate(names):
+            q = seen.columns[name]
+            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], q, equal_nan=True)), None)
+            if first is None:
+                continue
+            speeds = [seen.columns.get(n.replace(".position", ".velocity")) for n in (first, name)]
+            if any(v is not None and wrong_velocity(seen, q, v) for v in speeds):
+                what = f"{name} is the same as {first} in every row, and the velocity says otherwise"
+                todo = "export it again: one of the two was written twice"
+                yield Remark(self.KEY, what, todo, (first, name), Action.REFUSED)
+
+
 def _crossed(seen: Observations, names: Sequence[str]) -> tuple[str, ...]:
     """Return two of the velocity columns of which each is the change of the other's position; empty without such a pair."""
     for one, other in combinations(names, 2):

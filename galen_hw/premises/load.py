@@ -132,14 +132,14 @@ class LoadChange:
             what = f"the sensor was zeroed anew {where}: its offset jumps by ({sizes}) N, N m"
             # In a motion a step of the offset has a name of its own, and the search finds its moment.
             action = Action.REFUSED if seen.time is None else Action.NOTE
-            yield Remark(self.KEY, what, "split the recording there", (*FORCE, *TORQUE), action)
+            row = round(at) if action is Action.REFUSED else 0
+            yield Remark(self.KEY, what, "split the recording there", (*FORCE, *TORQUE), action, split=row)
             return
         mass = float(split.change[0])
         what = f"{'picked up' if mass > 0.0 else 'put down'} {where}: the load changes by {mass:+.4g} +- {split.std[0]:.2g} kg"
         if seen.time is None or seen.belief.tool.mass <= 0.0:
-            yield Remark(
-                self.KEY, what, "split the recording there, one tool a part", (*FORCE, *TORQUE), Action.REFUSED
-            )
+            todo, row = "split the recording there, one tool a part", round(at) if seen.time is None else 0
+            yield Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REFUSED, split=row)
             return
         yield self._claimed(seen, at)
 

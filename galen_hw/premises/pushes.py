@@ -5,12 +5,15 @@ from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
+from scipy.optimize import nnls
 
+from galen_hw.physics.effects.compliance import Compliance
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
-from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
+from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns, with_matrix
 from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.registration import poses
 from galen_hw.premises.unit_tables import FORCES, units_of
 from galen_hw.spatial import Array
 
@@ -95,3 +98,72 @@ def _compliance(F: Array, d: Array) -> tuple[float, float]:
     slope = float(work.sum() / size.sum())
     left = work - slope * size
     return slope, float(np.sqrt(sum(piece.sum() ** 2 for piece in np.array_split(left, CRITERIA.pieces))) / size.sum())
+
+
+class PushAxes:
+    """Tests whether the force on the tip is in the axes of the tip or of the sensor and not in the base's, as its name says.
+
+    Asked of joints that give, each by as much as suits: in the right axes hardly anything is left.
+    """
+
+    KEY: ClassVar[str] = "push_axes"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the force is turned into the base's axes."""
+        names = (*FORCE, *POSITION)
+        robot = seen.belief.robot
+        if seen.predict != "pose" or robot is None or not seen.has_all(*names):
+            return
+        some = seen.taken(known_rows(seen, (*names, *joint_positions(seen)), CRITERIA.stretch))
+        if len(some) < CRITERIA.pieces * CRITERIA.fewest_vectors:
+            return
+        as_named = _given(some)
+        if as_named is None or as_named < CRITERIA.gross_left:
+            return
+        for place, where in (("tip", _tip), ("sensor", _sensor)):
+            left = _given(with_matrix(some, FORCE, turned(some.matrix(*FORCE), where(some))))
+            if left is not None and left < min(CRITERIA.gross_left, CRITERIA.gross_gain * as_named):
+                what = f"applied.force is in the axes of the {place}: so read, joints that give leave {left:.0%} of the give, "
+                what += f"and {as_named:.0%} as it is named, in the base's"
+                known = known_rows(seen, (*names, *joint_positions(seen)))
+                force = np.full((len(seen), 3), np.nan)
+                force[known] = turned(seen.matrix(*FORCE)[known], where(seen.taken(known)))
+                yield Remark(self.KEY, what, "", FORCE, Action.REPAIRED, with_matrix(seen, FORCE, force))
+                return
+
+
+def turned(vectors: Array, R: Array) -> Array:
+    """Return vectors (N, 3) in the axes that rotations (N, 3, 3) lead to."""
+    return np.asarray(np.einsum("nij,nj->ni", R, vectors))
+
+
+def _tip(some: Observations) -> Array:
+    return poses(scene_of(some))
+
+
+def _sensor(some: Observations) -> Array:
+    robot = some.belief.robot
+    assert robot is not None, "asked only with a robot"
+    return np.asarray(robot.sensor_pose(some.matrix(*joint_positions(some)))[:, :3, :3])
+
+
+def _given(some: Observations) -> float | None:
+    """Return the share of the tip's give that no compliance of its joints explains; None where no joint bears the pushes."""
+    scene = scene_of(replace(some, belief=replace(some.belief, compliance={})))
+    give = scene.residual[:, :3].copy()
+    columns = [e.columns(scene) for e in Compliance.propose(scene) if e.form == "joint"]
+    if not columns or not np.isfinite(give).all():
+        return None
+    X = np.zeros((len(scene), len(scene.channels), sum(c.count for c in columns)))
+    first = 0
+    for c in columns:
+        X[:, list(c.channels), first : first + c.count] = c.values
+        first += c.count
+    X = X[:, :3]
+    for part in some.segments:
+        give[part] -= give[part].mean(axis=0)
+        X[part] -= X[part].mean(axis=0)
+    A, b = X.reshape(-1, X.shape[2]), give.ravel()
+    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    return float(nnls(A, b)[1] ** 2 / max(float(b @ b), 1e-300))

@@ -13,7 +13,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names
-from galen_hw.premises.thinning import thinned
+from galen_hw.premises.thinning import Rates, thinned
 from galen_hw.spatial import Array
 
 ROWS: Final = 4000
@@ -123,16 +123,28 @@ class SmoothedStream:
         yield Remark(self.KEY, what, todo, tuple(compared_names(seen)), Action.REFUSED)
 
 
+def late_shares(some: tuple[Observations, Rates]) -> Array | None:
+    """Return the shares (C,) of what is compared that its simulation leaves with the best constant delay; None: no stream.
+
+    Args:
+        some: thinned rows.
+    """
+    streams = _of(some)
+    return None if streams is None else streams.late(np.ones((len(streams.time), 1)))[1]
+
+
 def _streams(seen: Observations) -> _Streams | None:
     """Return what is compared and its simulation, of the channels that move; None where there are hardly any rows."""
-    if seen.time is None or len(seen.segments) > 1:
-        return None
-    some = thinned(seen, ROWS)
+    return _of(thinned(seen, ROWS)) if seen.time is not None and len(seen.segments) == 1 else None
+
+
+def _of(some: tuple[Observations, Rates] | None) -> _Streams | None:
     if some is None or some[0].time is None or len(some[0]) < 2 * CRITERIA.most_rows:
         return None
     scene = scene_of(some[0], rates=some[1])
     y, x = scene.measured, scene.simulated
-    live = (np.var(y, axis=0) > 0.0) & (np.var(x, axis=0) > 0.0)
+    # The variance of a constant may be rounding.
+    live = (np.ptp(y, axis=0) > 0.0) & (np.ptp(x, axis=0) > 0.0)
     if not live.any() or not (np.isfinite(y).all() and np.isfinite(x).all()) or np.any(np.diff(scene.time) <= 0.0):
         return None
     size = np.std(y[:, live], axis=0)

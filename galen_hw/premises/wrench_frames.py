@@ -57,14 +57,13 @@ class WrenchFrames:
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield at most one remark on force and torque together, behind one on exchanged columns or shifted rows."""
+        """Yield at most one remark on force and torque together, behind one on exchanged columns."""
         if seen.predict != "wrench" or not seen.has_all(*FORCE, *TORQUE):
             return
-        for elsewhere in _elsewhere(seen):
-            yield elsewhere
-            if elsewhere.repaired is None:
-                return
-            seen = elsewhere.repaired
+        if _are_exchanged(seen):
+            seen = _exchanged(seen)
+            what = "force and torque are exchanged: the columns of the torque hold the weight"
+            yield Remark(self.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, seen)
         found = self._found(at_rest(comparable(seen, CRITERIA.most_rows)))
         named = (
             found is not None and np.array_equal(found.Q, IDENTITY) and found.kind == "plain" and not found.reading.says
@@ -83,8 +82,20 @@ class WrenchFrames:
             if gravity
             else self._of_axes(seen, found)
         )
+        if remark is None:
+            remark = self._torque_in_base(seen, found.reading.seen)
         if remark is not None:
             yield remark
+
+    def _torque_in_base(self, seen: Observations, some: Observations) -> Remark | None:
+        """Return the repair of a torque in axes of the base beside a force in the sensor's, whatever hangs there."""
+        force, torque = some.matrix(*FORCE), some.matrix(*TORQUE)
+        base = lever_fit(force, _into_sensor(some, torque))[1]
+        if base > min(CRITERIA.gross_left, CRITERIA.gross_gain * lever_fit(force, torque)[1]):
+            return None
+        repaired = with_matrix(seen, TORQUE, _into_sensor(seen, seen.matrix(*TORQUE)))
+        what = "the torque is in axes of the base, the force in the sensor's"
+        return Remark(self.KEY, what, "", TORQUE, Action.REPAIRED, repaired)
 
     def _found(self, seen: Observations) -> _Found | None:
         """Return the reading to believe; None where none can be: too few rows, one direction alone, or other forces."""
@@ -164,48 +175,32 @@ class WrenchFrames:
         return Remark(self.KEY, what, todo, (*FORCE, *TORQUE), Action.REPAIRED, repaired, claim)
 
 
-def _elsewhere(seen: Observations) -> Iterator[Remark]:
-    """Yield at most one remark on a force that stands in the torque's columns, or, of poses, in another pose's row."""
+def _are_exchanged(seen: Observations) -> bool:
+    """Return whether the force stands in the torque's columns."""
     some = at_rest(comparable(seen, CRITERIA.most_rows))
     if len(some) < CRITERIA.fewest_vectors:
-        return
+        return False
     named = next(iter(readings(some)))
     least = min(CRITERIA.gross_left, CRITERIA.gross_gain * named.plain.unexplained)
     if named.plain.rank < 2 or named.plain.unexplained <= CRITERIA.gross_left:
-        return
-
-    def meets(other: Observations) -> bool:
-        one = next(iter(readings(other)))
-        return (
-            one.plain.unexplained <= least
-            and _is_named(one.plain.Q)
-            and _weighs(_Found(one, IDENTITY, one.plain.unexplained, "plain"))
-        )
-
+        return False
     # Moments of any size with no tool named: as forces they may turn with gravity, but then the forces are no moments of a tool.
     spread = [float(np.sum(np.var(some.matrix(*names), axis=0))) for names in (FORCE, TORQUE)]
-    if spread[0] <= CRITERIA.longest_lever**2 * spread[1] and meets(_exchanged(some)):
-        what = "force and torque are exchanged: the columns of the torque hold the weight"
-        yield Remark(WrenchFrames.KEY, what, "", (*FORCE, *TORQUE), Action.REPAIRED, _exchanged(seen))
-    elif seen.time is None:
-        poses = at_rest(comparable(seen))
-        for shift, of in ((1, "before"), (-1, "after")):
-            if meets(_shifted(poses, shift)):
-                what = f"each row's wrench is that of the pose {of}: two lists were joined of which one begins a pose earlier"
-                todo = "join them again, by numbers that begin alike"
-                yield Remark(WrenchFrames.KEY, what, todo, (*FORCE, *TORQUE), Action.REFUSED)
+    if spread[0] > CRITERIA.longest_lever**2 * spread[1]:
+        return False
+    one = next(iter(readings(_exchanged(some))))
+    found = _Found(one, IDENTITY, one.plain.unexplained, "plain")
+    return found.unexplained <= least and _is_named(one.plain.Q) and _weighs(found)
+
+
+def _into_sensor(seen: Observations, vectors: Array) -> Array:
+    """Return vectors (N, 3) in axes of the base in those of the sensor."""
+    return np.asarray(np.einsum("nji,nj->ni", sensor_rotations(scene_of(seen)), vectors))
 
 
 def _exchanged(seen: Observations) -> Observations:
     """Return the recording with the columns of force and torque exchanged."""
     return with_matrix(seen, (*FORCE, *TORQUE), seen.matrix(*TORQUE, *FORCE))
-
-
-def _shifted(seen: Observations, rows: int) -> Observations:
-    """Return the recording with the wrench of so many rows further on (negative: back), without the rows that lack one."""
-    wrench = np.roll(seen.matrix(*FORCE, *TORQUE), -rows, axis=0)
-    there = slice(0, -rows) if rows > 0 else slice(-rows, None)
-    return with_matrix(seen, (*FORCE, *TORQUE), wrench).taken(there)
 
 
 def _is_named(Q: Array) -> bool:

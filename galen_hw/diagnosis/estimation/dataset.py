@@ -16,6 +16,7 @@ from galen_hw.diagnosis.estimation.signal_chain import OutputStage, through
 from galen_hw.diagnosis.noise.estimator import estimate, quantisation
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.settings import BUDGET
+from galen_hw.diagnosis.stats.deadline import Deadline
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
 from galen_hw.lazy import cached_property
@@ -57,6 +58,7 @@ class Bench:
         most: maximum number of rows; neighbours are averaged until there are no more.
         pose: period, s, from which rows are static poses of a sweep.
         in_order: number of rows without a clock from which their order shows the noise spectrum; averaged poses are fewer.
+        deadline: of the searches on it; its copies have the same one.
     """
 
     scene: Scene
@@ -65,6 +67,7 @@ class Bench:
     most: int = BUDGET.rows
     pose: float = field(default=1.0, kw_only=True)
     in_order: int = field(default=1000, kw_only=True)
+    deadline: Deadline = field(default_factory=Deadline, kw_only=True)
     rows: Rows = field(init=False)
     block: Index = field(init=False)
     held_out: Mask = field(init=False)

@@ -40,11 +40,11 @@ def select(bench: Bench, scorer: Scorer, *, start: Start = ()) -> Selection:
         _begin(out, start)
     for _ in range(LIMITS.turns):
         _look(out)
-        if not any(make(out) for make in finding):
+        if not any(make(out) for make in finding if not bench.deadline.passed()):
             break
         settle_together(bench, scorer, out.chosen)
         for make in tidying:
-            if make(out):
+            if not bench.deadline.passed() and make(out):
                 settle_together(bench, scorer, out.chosen)
         retime(bench, scorer, out.chosen)
         out.turn.failed.clear()

@@ -15,8 +15,8 @@ class HoldoutTest:
     """Compare smaller models with a model on rows that neither was fitted on.
 
     In raw units, weighed by the noise of each channel, where physics is left over: then the weights of the noise would favour
-    frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units too: a small quick effect is
-    then not lost in large slow noise.
+    frequencies at which the model is wrong. Where the model leaves noise alone, in whitened units too: a quick effect that is too
+    small to be sure of in large slow noise is not lost there. How much an effect explains is asked in raw units alone.
 
     Args:
         floor: (C,) of the noise; raw, white: what a model leaves on the judged rows; model: the largest one; baseline: the one
@@ -61,7 +61,8 @@ class HoldoutTest:
     def gains(self, part: Model, own: Sequence[int] | None = None) -> list[Gain]:
         """Compare errors in each of the units that can tell: one of them has to be credible."""
         out = [self.gain(part, own)]
-        if self._white_residual is not None and out[0].tolerable:
+        enough = out[0].completes or out[0].share >= CRITERIA.least_share
+        if self._white_residual is not None and out[0].tolerable and enough:
             at = slice(None) if own is None else list(own)
             white = paired(self._white(part), self._white_residual, self._white_excess, own=at)
             out.append(replace(white, completes=out[0].completes))

@@ -132,12 +132,14 @@ def _loudest(x: Array, least: float) -> Array:
 
 
 def strong(structures: list[Structure], judged: Judged, bench: Bench) -> list[Structure]:
-    """Return the structures that are large beside the first error, the noise and the rounding."""
+    """Return the structures that are large beside the first error, the noise and the rounding, whitened and as they are."""
     out, rounding = [], bench.noise.followed_rounding
     for one in structures:
         noise = float(bench.noise.sigma[one.channel] ** 2)
         before = max(float(judged.before[one.channel]) - noise, noise)
-        if one.size**2 > max(CRITERIA.least_share * before, float(rounding[one.channel])):
+        if one.share >= CRITERIA.least_share and one.size**2 > max(
+            CRITERIA.least_share * before, float(rounding[one.channel])
+        ):
             out.append(one)
     return out
 

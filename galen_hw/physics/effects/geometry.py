@@ -126,50 +126,68 @@ class JointScale(_Encoder):
     """A joint's scale (gear, encoder) is off: q' = (1 + k) q.
 
     "eccentric": its encoder errs once a turn, q' = q + s sin q + c cos q, as a disk does that turns about a point beside its
-    centre. Visible over a wide range of the joint. Confused with joint_offset over a narrow one, with gain.
+    centre. "coupled": it goes along with a joint nearer to the base, q' = q + k p, as that of a wrist or of an elbow whose motor
+    sits before that joint and whose gears or rods were not reckoned with. Visible over a wide range of the joint. Confused with
+    joint_offset over a narrow one, with gain.
     """
 
     KEY = "joint_scale"
     SAYS = "the joint's scale is off"
-    KNOWN_BY = "it follows the joint's travel alone, in proportion or once a turn"
+    KNOWN_BY = "it follows the travel of the joint, or of one before it, in proportion or once a turn"
     CONFIRMED_BY = "visit both ends of the joint's range"
-    HEAD = ("scale_error", "sine", "cosine")
+    HEAD = ("scale_error", "coupling", "sine", "cosine")
     ALIKE: ClassVar = {"compliance": "the load is nearly proportional to the joint's travel"}
     RIGID = True
     GEOMETRY_ORDER = 0
     ERROR = "scale"
     part: str = ""
+    source: str = ""
 
     @classmethod
     def propose(cls, scene: Scene) -> Iterator[Self]:
-        """Yield every joint that moves and shows; one that turns may have an eccentric encoder."""
-        for joint in scene.moved:
+        """Yield every joint that moves and shows; one that turns may have an eccentric encoder, or go along with another.
+
+        In positions a joint that goes along is a cross_talk of its channel.
+        """
+        joints, moved = scene.joint_names, scene.moved
+        turning = [joint for joint in moved if scene.joint_units(joint)[0] == "rad"]
+        for joint in moved:
             if answers(scene, joint):
                 yield cls(joint)
-                if scene.joint_units(joint)[0] == "rad":
+                if joint in turning:
                     yield cls(joint, "eccentric")
+        if scene.observations.predict == "position":
+            return
+        for place, joint in enumerate(joints):
+            if scene.joint_units(joint)[0] == "rad" and answers(scene, joint):
+                # Of three of a wrist the motors sit behind it, and the first moves both others.
+                before = joints[max(place - 2, 0) : place]
+                yield from (cls(joint, "coupled", source) for source in before if source in turning)
 
     @property
     def remark(self) -> str:
-        """A sentence on an encoder that errs once a turn."""
+        """A sentence on an encoder that errs once a turn, or goes along with another joint."""
+        if self.source:
+            return f"Its reading goes along with {self.source}, as where one gear or rod drives both and is not reckoned with."
         return "Its reading errs once a turn, as that of an eccentric encoder does." if self.part else ""
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
-        """Return the relative error of the scale, or the amplitudes of sine and cosine."""
-        if self.part:
+        """Return the relative error of the scale, the share of the other joint, or the amplitudes of sine and cosine."""
+        if self.part == "eccentric":
             return tuple(Parameter(name, "rad", furthest=FURTHEST["rad"]) for name in ("sine", "cosine"))
-        return (Parameter("scale_error", "1", furthest=FARTHEST_SCALE),)
+        return (Parameter("coupling" if self.part else "scale_error", "1", furthest=FARTHEST_SCALE),)
 
     def stands(self, scene: Scene, theta: Array) -> Scene | None:
-        """Return the scene with the joint where it really is; None for an eccentric encoder, whose errors are small."""
+        """Return the scene with the joint where it really is; None for other forms, whose errors are small."""
         return None if self.part else super().stands(scene, theta)
 
     def _misread(self, scene: Scene, value: float) -> Array | None:
         return None if self.part else super()._misread(scene, value)
 
     def _ways(self) -> tuple[Callable[[Scene], Array], ...]:
-        shapes = (np.sin, np.cos) if self.part else (np.asarray,)
-        return tuple(lambda at, shape=shape: shape(at.q[:, at.joint_index(self.joint)]) for shape in shapes)
+        shapes = (np.sin, np.cos) if self.part == "eccentric" else (np.asarray,)
+        by = self.source or self.joint
+        return tuple(lambda at, shape=shape: shape(at.q[:, at.joint_index(by)]) for shape in shapes)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ def regrouped(out: Selection) -> bool:
         tried = frozenset((scorer.library[i].family, i in pair) for i in out.chosen)
         if tried in out.regrouped:
             continue
+        if bench.deadline.passed():
+            return False
         out.regrouped.add(tried)
         others = [i for i in out.chosen if i not in pair]
         nonlinear = sum((b for i in pair if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))

@@ -34,6 +34,8 @@ def _swap(out: Selection, *, simpler: bool = False) -> bool:
     bench, scorer = out.bench, out.scorer
     start = list(out.chosen)
     for i in list(out.chosen):
+        if bench.deadline.passed():
+            break
         others = [j for j in out.chosen if j != i]
         # A cable has been compared with a tendon by now.
         rivals = {

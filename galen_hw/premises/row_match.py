@@ -1,0 +1,172 @@
+"""Rows that do not belong together: a column or a stream turned back to front, sorted by itself, or moved by some rows."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from galen_hw.physics.effects.registry import scene_of
+from galen_hw.physics.observations import Observations
+from galen_hw.physics.scenes.pose import POSITION
+from galen_hw.premises.base import Action, Remark, Stage, known_rows, with_matrix
+from galen_hw.premises.clock import PERIODS_S
+from galen_hw.premises.criteria import CRITERIA
+from galen_hw.premises.sampling import compared_names
+from galen_hw.premises.streams import ROWS, late_shares
+from galen_hw.premises.thinning import Rates, thinned
+from galen_hw.premises.wrench_reading import FORCE, ORIENTATION, TORQUE, readings
+from galen_hw.spatial import Array
+
+Rows = NDArray[np.intp]
+FEWEST: Final = 24
+"""Rows; of fewer one order in a hundred others may fit by chance, where several channels are one motion's."""
+FARTHEST: Final = 3
+"""Rows by which one file runs ahead of another: a heading, or lines that were lost."""
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Another order of the rows of what is compared: `rows` (M,) of it belong to `own` (M,) of what drives the simulation."""
+
+    says: str
+    todo: str
+    rows: Rows
+    own: Rows
+
+
+class RowMatch:
+    """Tests whether what is compared has the simulated values in other rows.
+
+    Of each order the share is asked that a simulation leaves unexplained, its size and a constant aside. Nothing physical turns
+    a motion back to front, sorts it, or answers with the load of the pose before.
+    """
+
+    KEY: ClassVar[str] = "row_match"
+    STAGE: ClassVar[Stage] = Stage.FRAMES
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield at most one refusal: of all channels, else of those whose rows alone are in another order."""
+        some = _rows(seen)
+        if some is None or len(some[0]) < FEWEST:
+            return
+        scene = scene_of(some[0], rates=some[1])
+        # An orientation is compared relative to its simulation.
+        count = min(3, len(scene.channels)) if seen.predict == "pose" else len(scene.channels)
+        y, x = scene.measured[:, :count], scene.simulated[:, :count]
+        if seen.predict == "wrench" and not np.any(np.ptp(x, axis=0) > 0.0):
+            # No tool is named: whatever hangs there pulls as gravity does.
+            x = np.concatenate([next(iter(readings(some[0]))).expected, np.zeros((len(y), 3))], axis=1)[:, :count]
+        told = (np.ptp(x, axis=0) > 0.0) & (np.ptp(y, axis=0) > 0.0)
+        if not (np.isfinite(x).all() and np.isfinite(y).all() and told.any()):
+            return
+        moving = some[0].time is not None and float(np.median(np.diff(some[0].time))) < PERIODS_S[1]
+        plain = late_shares(some) if moving else None
+        plain = _unexplained(y, x) if plain is None or len(plain) != count else np.minimum(plain, _unexplained(y, x))
+        # Small moments say little.
+        group = told & (np.arange(count) < 3) if seen.predict == "wrench" else told
+        # To and fro in one joint, late, is much like backwards.
+        if np.sum(group) > moving and np.mean(plain[group]) > CRITERIA.gross_left:
+            order, left = _best(_orders(len(y), moving=moving), y[:, group], x[:, group])
+            if _fits(left, float(np.mean(plain[group]))):
+                yield self._remark(tuple(compared_names(seen)), order, "what is compared")
+                return
+        if found := list(self._in_memory(seen, scene.channels[:count], plain)):
+            yield from found
+            return
+        for c in np.flatnonzero(told & (plain > CRITERIA.half)):
+            own = (*(() if moving else _orders(len(y), moving=False)), *_sorted(y[:, c], x[:, c]))
+            if not own:
+                continue
+            order, left = _best(own, y[:, [c]], x[:, [c]])
+            if _fits(left, float(plain[c])):
+                yield self._remark((scene.channels[c],), order, scene.channels[c])
+
+    def _in_memory(self, seen: Observations, channels: Sequence[str], plain: Array) -> Iterator[Remark]:
+        """Yield a refusal of vectors that were written row by row and read back column by column, or the other way round."""
+        for names in (FORCE, TORQUE, POSITION, tuple(channels)):
+            at = [channels.index(name) for name in names if name in channels]
+            if len(at) < max(len(names), 2) or np.min(plain[at]) < CRITERIA.half:
+                continue
+            Y = seen.matrix(*names)
+            if not np.isfinite(Y).all():
+                continue
+            for new in (Y.T.reshape(Y.shape), Y.reshape(Y.T.shape).T):
+                some = _rows(with_matrix(seen, names, new))
+                if some is None:
+                    continue
+                scene = scene_of(some[0], rates=some[1])
+                left = _unexplained(scene.measured[:, at], scene.simulated[:, at])
+                if _fits(float(np.mean(left)), float(np.mean(plain[at]))):
+                    what = (
+                        f"{', '.join(names)} were written in one order of memory and read in the other: so read their "
+                    )
+                    what += "simulation explains them, and as recorded not half of them"
+                    yield Remark(
+                        self.KEY, what, "read them as they were written: rows first, or columns", names, Action.REFUSED
+                    )
+                    return
+
+    def _remark(self, columns: tuple[str, ...], order: _Order, name: str) -> Remark:
+        what = f"{name} {order.says}: so read its simulation explains it, and as recorded not half of it"
+        return Remark(self.KEY, what, order.todo, columns, Action.REFUSED)
+
+
+def _rows(seen: Observations) -> tuple[Observations, Rates] | None:
+    return thinned(seen, ROWS) or _oriented(seen)
+
+
+def _best(orders: Iterable[_Order], y: Array, x: Array) -> tuple[_Order, float]:
+    """Return the order that leaves the least of signals (N, C) unexplained by others (N, C), and the mean share."""
+    left = [(o, float(np.mean(_unexplained(y[o.rows], x[o.own])))) for o in orders]
+    return min(left, key=lambda one: one[1])
+
+
+def _oriented(seen: Observations) -> tuple[Observations, Rates] | None:
+    """Return poses of a sensor whose orientation is all that is known of the machine."""
+    names = (*compared_names(seen), *ORIENTATION)
+    if seen.predict != "wrench" or seen.time is not None or not seen.has_all(*names):
+        return None
+    return seen.taken(known_rows(seen, names, ROWS)), None
+
+
+def _orders(count: int, *, moving: bool) -> Iterator[_Order]:
+    """Yield orders of all rows: of a motion that is back to front alone, since one that is moved by some rows is late."""
+    every = np.arange(count)
+    todo = "give each row what was measured in it: the newest came first, say"
+    yield _Order("runs from the last row to the first", todo, every[::-1], every)
+    if moving:
+        return
+    todo = "give each row what was measured in it: a line was lost, or came twice, in one of two files, say"
+    for by in (k for k in range(-FARTHEST, FARTHEST + 1) if k):
+        rows = every[max(by, 0) : count + min(by, 0)]
+        side = f"{abs(by)} row{'s' if abs(by) > 1 else ''} {'late' if by > 0 else 'early'}"
+        for first in range(0, count - FEWEST // 2, max(count // 200, 1)):
+            kept, moved = every[:first], rows[rows - by >= first]
+            own = np.concatenate([kept, moved - by])
+            where = f" from row {first} on" if first else ""
+            yield _Order(f"comes {side}{where}", todo, np.concatenate([kept, moved]), own)
+
+
+def _sorted(y: Array, x: Array) -> Iterator[_Order]:
+    """Yield the order in which a column (N,) was sorted by itself, if it is."""
+    steps = np.diff(y)
+    if np.all(steps >= 0.0) or np.all(steps <= 0.0):
+        up = y[-1] > y[0]
+        says = f"was sorted by itself, the {'smallest' if up else 'largest'} first"
+        own = np.argsort(x, kind="stable")
+        yield _Order(says, "sort all columns together, or none", np.arange(len(y)), own if up else own[::-1])
+
+
+def _fits(left: float, plain: float) -> bool:
+    return left < CRITERIA.gross_left and left < CRITERIA.gross_gain * plain
+
+
+def _unexplained(y: Array, x: Array) -> Array:
+    """Return the shares (C,) of signals (N, C) that others (N, C) leave, a constant and their size aside."""
+    own, its = y - np.mean(y, axis=0), x - np.mean(x, axis=0)
+    size = np.sum(own**2, axis=0) * np.sum(its**2, axis=0)
+    both = np.sum(own * its, axis=0)
+    # A size may be wrong, its sign not.
+    return np.asarray(1.0 - np.maximum(both, 0.0) ** 2 / np.maximum(size, 1e-300))
