@@ -45,7 +45,8 @@ def searched(
     hypotheses = [bench.hypothesis_of(e, raw) for e, raw in each if not e.presumes(bench.scene)]
     bench.cache_columns(hypotheses)
     searches = _models(bench, hypotheses, blind=blind, start=start)
-    return searches, remaining_structures([searches[0][1]], generic)[0]
+    # Of what a check has refused no structure is the machine's.
+    return searches, [] if blind else remaining_structures([searches[0][1]], generic)[0]
 
 
 def _models(bench: Bench, hypotheses: list[Hypothesis], *, blind: bool, start: Start) -> list[Search]:
