@@ -101,9 +101,10 @@ def test_unreadable_urdf_and_unknown_link_are_one_line() -> None:
     with pytest.raises(UsageError, match=r"no link 'gripper'.*one of:.*sensor"):
         UrdfRobot(URDF, sensor_link="gripper")
     with pytest.raises(UsageError, match="no such file"):
-        UrdfRobot("no/such/file.urdf")
-    with pytest.raises(UsageError, match="not a readable URDF"):
-        UrdfRobot("<robot")
+        UrdfRobot(Path("no/such/file.urdf"))
+    for text in ("<robot", "a table\n" * 1000, "config/galen.urdf"):
+        with pytest.raises(UsageError, match=r"^URDF: not a readable URDF"):
+            UrdfRobot(text)
 
 
 def _pendulum(rpy: str) -> str:

@@ -166,3 +166,32 @@ def test_words_that_go_with_no_robot_are_refused(tmp_path: Path, capsys: pytest.
     assert "of which recording?" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path), "--xacro-arg", "a:=1"]) == 2
     assert "of which robot?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"# Arm\n\nA paragraph.\n" * 400, "not a URDF; give a URDF or a xacro file"),
+        (b"\x7fELF\x02\x01\x01\x00" * 400, "not a URDF; give a URDF or a xacro file"),
+        (b'robot = "arm.urdf"\n', "not a URDF; give a URDF or a xacro file"),
+        (b"<robot", "not a readable URDF (unclosed token"),
+        (b"<robot/>", "not one tree of links"),
+    ],
+    ids=["text", "binary", "map", "cut off", "empty"],
+)
+@pytest.mark.parametrize("command", ["check", "diagnose"])
+def test_a_file_that_is_no_robot_is_named_and_not_printed(
+    command: str, content: bytes, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its content had been taken for a path where it does not begin as XML does."""
+    file = tmp_path / "README.md"
+    file.write_bytes(content)
+    assert main([command, str(tmp_path), "--robot", str(file)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"galen-hw {command}: {file}: {said}")
+
+
+def test_a_urdf_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(made.arm(), encoding="utf-8-sig")
+    assert robot_file(file).text == made.arm()

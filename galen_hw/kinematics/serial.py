@@ -26,7 +26,7 @@ class UrdfChain:
     computed from it.
 
     Args:
-        urdf: path of the file, or its text.
+        urdf: Path of the file, or its text as a str.
         sensor_link: link whose frame is the sensor's; `Urdf.longest` if None.
         base_link: link in which poses are given; the root if None. Joints may move it.
         gravity: (3,) m/s^2 in the base's axes, as the base stands at the zero of the joints that move it.

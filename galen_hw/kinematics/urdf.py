@@ -127,29 +127,27 @@ class Urdf:
 
 
 def read_urdf(urdf: Path | str) -> Urdf:
-    """A URDF from its file, or from its text.
+    """A URDF from its file (a Path), or from its text (a str).
 
     Raises:
         UsageError: it cannot be read, or is no tree of links; the line says where.
     """
-    given = str(urdf)
-    if given.lstrip().startswith("<"):
-        where, content = "URDF", given.strip().encode()
+    if isinstance(urdf, str):
+        where, content = "URDF", urdf.strip().encode()
         # A text has no encoding of its own any more, whatever its first line says.
         if content.startswith(b"<?xml"):
             content = content.partition(b"?>")[2]
     else:
-        where = given
-        if not Path(given).is_file():
+        where = str(urdf)
+        if not urdf.is_file():
             raise UsageError("no such file", where=where, todo="check the path")
-        content = Path(given).read_bytes()
+        content = urdf.read_bytes()
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise UsageError("not a readable URDF (it declares a document type)", where=where, todo="leave <!DOCTYPE out")
     try:
         root = ET.fromstring(content)  # noqa: S314 - entities are refused above, and expat bounds what they grow to
     except (ET.ParseError, ValueError, LookupError, RecursionError) as error:
-        what = f"not a readable URDF ({error})"
-        raise UsageError(what, where=given[:80] if where == "URDF" else where, todo="check the file") from error
+        raise UsageError(f"not a readable URDF ({error})", where=where, todo="check the file") from error
     return _described(root, where)
 
 

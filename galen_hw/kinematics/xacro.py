@@ -15,6 +15,7 @@ from typing import Final
 
 from galen_hw.errors import UsageError
 from galen_hw.extras import need
+from galen_hw.kinematics.urdf import read_urdf
 
 EXPAND: Final = """
 import sys
@@ -46,17 +47,21 @@ def robot_file(path: Path, arguments: Sequence[str] = ()) -> RobotFile:
         MissingExtraError: xacrodoc is not installed.
     """
     where = str(path)
+    todo = "give a URDF or a xacro file"
     try:
-        text = path.read_bytes().decode(errors="replace")
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
         what = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        raise UsageError(what, where=where, todo="give a URDF or a xacro file") from error
+        raise UsageError(what, where=where, todo=todo) from error
+    if not text.lstrip().startswith("<"):
+        raise UsageError("not a URDF", where=where, todo=todo)
     wrong = [word for word in arguments if not re.fullmatch(r"\w+:=.*", word)]
     if wrong:
         raise UsageError("not KEY:=VALUE", where=f"--xacro-arg {wrong[0]}", todo="e.g. --xacro-arg ur_type:=ur5e")
     if path.suffix != ".xacro" and "<xacro:" not in text:
         if arguments:
             raise UsageError("it is no xacro file", where=where, todo="leave --xacro-arg out")
+        read_urdf(path)  # Here, where an error can name the file: a recording holds the text alone.
         return RobotFile(path.name, text)
     need("xacro", where)
     stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
