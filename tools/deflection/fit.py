@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.blocks import noise_of
 from galen_hw.identification.deflection.compare import Score, judge, wall_shares
 from galen_hw.identification.deflection.data import DeflectionSet
@@ -23,6 +24,10 @@ ENOUGH: Final = 1.2
 """Times the tracker's noise: a held-out error below it leaves nothing that more could be learnt from."""
 SIMPLER: Final = 1.05
 """A simpler model within this factor of the best is preferred."""
+COMPARED: Final = "gradient boosting"
+"""Only compared, never served: its trees are no plain numbers."""
+NEEDS: Final = {"LSTM (report)": ("torch", "torch", "torch"), COMPARED: ("sklearn", "scikit-learn", "diagnose")}
+"""Module, package and extra of models that not every machine can fit."""
 ORDER: Final = ("new configuration", "other day", "same configuration")
 
 
@@ -55,7 +60,7 @@ class Comparison:
     @property
     def doubts(self) -> list[str]:
         """Why the recommendation is not to be relied on, one line each with what to record next; empty when it is."""
-        served = [n for n in self.models if n != "gradient boosting"]
+        served = [n for n in self.models if n != COMPARED]
         error, lines = self.figure(self.best), []
         if not self.held:
             return ["no set was held out: how good it is is not known; record a second set at each of four places"]
@@ -91,17 +96,12 @@ def compare(
     names: Sequence[str] = tuple(MODELS),
     say: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Fit and judge the models by name; the LSTM only where torch is installed."""
+    """Fit and judge the models by name, those whose libraries are installed."""
     noise = noise_of(learn)[:3]
     out = Comparison(learn, held, float(np.sqrt(np.sum(noise**2))))
     for name in names:
-        if name.startswith("LSTM") and importlib.util.find_spec("torch") is None:
-            out.notes.append("LSTM (report) left out: torch is not installed; pip install 'galen-hw[torch]'")
-            continue
-        if name == "gradient boosting" and importlib.util.find_spec("sklearn") is None:
-            out.notes.append(
-                "gradient boosting left out: scikit-learn is not installed; pip install 'galen-hw[diagnose]'"
-            )
+        if missing := _missing(name):
+            out.notes.append(missing)
             continue
         say(name)
         begin = time.perf_counter()
@@ -114,9 +114,28 @@ def compare(
     return out
 
 
+def _missing(name: str) -> str:
+    """What is not installed for a model, and how it is; empty where it can be fitted."""
+    module, package, extra = NEEDS.get(name, ("", "", ""))
+    if not module or importlib.util.find_spec(module) is not None:
+        return ""
+    return f"{name} left out: {package} is not installed; pip install 'galen-hw[{extra}]'"
+
+
+def require_served(names: Sequence[str]) -> None:
+    """See that one of the models can be recommended, before minutes are spent on the others.
+
+    Raises:
+        UsageError: none of them.
+    """
+    if all(name == COMPARED or _missing(name) for name in names):
+        why = [_missing(name) or f"{name} is never recommended" for name in names]
+        raise UsageError("; ".join(why), where="--models", todo="name another model too")
+
+
 def _recommend(out: Comparison) -> tuple[str, str]:
     """The served model with the least error; a simpler one where it is as good."""
-    served = [n for n in out.models if n != "gradient boosting"]
+    served = [n for n in out.models if n != COMPARED]
     error = {n: out.figure(n) for n in served}
     least = min(served, key=lambda n: error[n])
     best = next(n for n in served if error[n] <= SIMPLER * error[least])

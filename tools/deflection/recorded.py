@@ -10,7 +10,7 @@ from galen_hw.identification.deflection.table import MODELS
 from galen_hw.recording import Recording
 from galen_hw.services.deflection.store import DeflectionFile
 from galen_hw.tools.deflection.data import Sets, sets_of, split
-from galen_hw.tools.deflection.fit import Comparison, compare, file_of
+from galen_hw.tools.deflection.fit import Comparison, compare, file_of, require_served
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,12 @@ def fit_recordings(
         say: told the name of each model before it is fitted; warn: told each remark at once.
 
     Raises:
-        UsageError: no deflection recordings, sets that do not go together, no such set or model.
+        UsageError: no deflection recordings, sets that do not go together, no such set or model, none to recommend.
     """
     names = [n for n in MODELS if not models or any(part.lower() in n.lower() for part in models)]
     if not names:
         raise UsageError("no such model", where="--models", todo=f"parts of: {', '.join(MODELS)}")
+    require_served(names)
     sets = sets_of(recordings)
     remarks = check(sets.sets)
     for line in (*sets.notes, *remarks):

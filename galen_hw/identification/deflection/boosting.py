@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
+from threadpoolctl import threadpool_limits
 
 from galen_hw.errors import UsageError
 from galen_hw.identification.deflection.data import DeflectionSet
@@ -22,6 +23,8 @@ class Boosting(DeflectionModel):
     ABOUT: ClassVar[str] = "boosted trees on force, joints and the force's past"
     _forests: list[HistGradientBoostingRegressor] = field(default_factory=list)
 
+    # The histograms are small: beside other work the threads that fill them wait for one another for longer than they compute.
+    @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
     def fit(self, sets: Sequence[DeflectionSet]) -> Self:
         """Early stopping on a tenth of the rows, scikit-learn's defaults otherwise."""
         x = np.concatenate([with_past(s) for s in sets])
@@ -29,6 +32,7 @@ class Boosting(DeflectionModel):
         self._forests = [HistGradientBoostingRegressor(early_stopping=True, random_state=0).fit(x, c) for c in y.T]
         return self
 
+    @threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]
     def predict(self, data: DeflectionSet) -> Array:
         """Give (N, d)."""
         x = with_past(data)
