@@ -177,7 +177,8 @@ def run_cli(*words):
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [
-        (["--sensor", "scales"], 2, "one of: "),
+        (["--sensor", "scales"], 2, "no virtual sensor 'scales'; one of: ati_netcanoem, robotous_rft, iit_strain\n"),
+        (["--sensor", "galil_dmc"], 2, "no virtual sensor 'galil_dmc'"),
         (["--can", "pigeon"], 2, "one of: slcan"),
         (["--settings", "{"], 2, "not JSON"),
         (["--settings", '{"ati_netcanoem": {"base_id": 300}}'], 2, "base_id"),

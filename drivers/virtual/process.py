@@ -87,6 +87,9 @@ class VirtualProcess:
     """
 
     def __init__(self, options: Options, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        if options.sensor not in SENSORS:
+            todo = f"one of: {', '.join(SENSORS)}"
+            raise UsageError(f"no virtual sensor {options.sensor!r}", where="--sensor", todo=todo)
         self._options, self.clock = options, clock
         self.world = World(seed=options.seed)
         self.world.attach(options.tool)
