@@ -1,6 +1,8 @@
 """Tables: what is written is read back bit for bit, what is wrong is one clear line, what is odd is a warning."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -315,3 +317,24 @@ def test_recordings_of_real_machines_are_read_and_kept(tmp_path: Path) -> None:
         recording = read_recording(folder)
         write_table(recording, tmp_path / str(i), "parquet" if i % 2 else "csv")
         assert same(recording, read_recording(tmp_path / str(i)))
+
+
+@pytest.mark.parametrize("format", ["csv", "parquet"])
+def test_empty_cells_of_a_long_table_stay_where_they_are(tmp_path: Path, format: Any) -> None:  # noqa: A002
+    """Over several of arrow's chunks."""
+    values = np.arange(400_000.0)
+    values[::7] = np.nan
+    folder = write_table(Recording({"covariate.a": values}, RecordingInfo()), tmp_path / "run", format=format)
+    found = read_recording(folder).columns["covariate.a"]
+    np.testing.assert_array_equal(found, values)
+    assert found.flags.writeable
+
+
+def test_a_table_is_read_without_pandas(tmp_path: Path) -> None:
+    """pyarrow's to_numpy loads it, for a third of a second in which a Ctrl-C was lost."""
+    folder = write_table(Recording({"covariate.a": np.arange(4.0)}, RecordingInfo()), tmp_path / "run")
+    code = (
+        "import sys; from galen_hw.recording import read_recording as r; r(sys.argv[1]); print('pandas' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
