@@ -30,6 +30,9 @@ SETTINGS = CalibrationSettings(
 )
 
 
+VIRTUAL = ["calibrate", "--virtual", "--tool", "pointer"]
+
+
 @pytest.fixture(autouse=True)
 def _own_state(tmp_path, monkeypatch):
     monkeypatch.setenv("GALEN_HW_STATE", str(tmp_path / "state"))
@@ -234,6 +237,19 @@ def test_without_a_daemon_it_says_so(capsys):
         (["calibrate", "--tool", "pointer", "--sensor-link", "tool0"], "--sensor-link: only of a recording"),
         (["calibrate", "--virtual", "--tool", "../../evil"], "'../../evil' cannot be a tool's name"),
         (["calibrate", "--virtual", "--tool", "pointer", "--report", __file__], "is a file, not a folder"),
+        (["calibrate", "--virtual", "--tool", "retracter"], "no tool 'retracter'"),
+        (["calibrate", "--virtual", "--tool", "pointer", "--config", "none.toml"], "none.toml: no such file"),
+        ([*VIRTUAL, "--poses", "7"], "--poses: 2 counts are asked for, one each for tilt, roll; e.g. 7x8"),
+        ([*VIRTUAL, "--poses", "7 8"], "--poses: '7 8' is not TILTSxROLLS"),
+        ([*VIRTUAL, "--poses", "0x8"], "--poses: should be greater than or equal to 1 (it is 0)"),
+        ([*VIRTUAL, "--poses", "50x50"], "--poses: 2500 poses are more than 1000"),
+        ([*VIRTUAL, "--poses", "1x1"], "--poses 1x1: 3 poses for the fit, 4 are the least"),
+        (
+            [*VIRTUAL, "--samples", "0"],
+            "--samples: should be greater than or equal to 10 (it is 0); e.g. samples = 300",
+        ),
+        ([*VIRTUAL, "--seed", "-1"], "--seed: should be greater than or equal to 0 (it is -1)"),
+        (["record", "--virtual", "-o", "/proc/x.mcap"], "/proc/x.mcap: cannot be written"),
         (["collect", "deflection", "--virtual", "-o", __file__], "is a file, not a folder"),
         (["collect", "deflection", "--virtual", "-o", f"{__file__}/session"], "is a file, not a folder"),
         (["tool", "show", "hammer"], "no tool 'hammer'"),
@@ -244,8 +260,9 @@ def test_without_a_daemon_it_says_so(capsys):
         (["tool", "import", "nowhere.json"], "cannot be read"),
     ],
 )
-def test_wrong_use_is_one_line(capsys, words, text):
-    """Exit 2 and one line that says what to do."""
+def test_wrong_use_is_one_line(capsys, monkeypatch, words, text):
+    """Exit 2 and one line that says what to do, before any robot is started."""
+    monkeypatch.setattr("galen_hw.daemon.session.own_daemon", lambda **_: pytest.fail("a robot was started"))
     assert main(words) == 2
     error = capsys.readouterr().err
     assert text in error

@@ -54,6 +54,9 @@ def run(args: argparse.Namespace) -> int:
     path = args.output or Path(default_name(datetime.now(UTC)))
     if path.exists() and not args.overwrite:
         raise UsageError("is there already", where=str(path), todo="give another name with -o, or --overwrite")
+    if args.virtual and not path.exists():  # Not after the start of a robot.
+        open_new(path).close()
+        path.unlink()
     with ExitStack() as stack:
         if args.virtual:
             addresses = stack.enter_context(own_daemon(config=args.config, runtime=args.dir))

@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable
 from typing import Any, ClassVar, Final
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import NAME
@@ -27,7 +27,7 @@ from galen_hw.services.calibration.file import SweepFile
 from galen_hw.services.calibration.hold import Expectation
 from galen_hw.services.calibration.plan import duration_s, make_plan
 from galen_hw.services.calibration.script import Script, Wait, check, sweep
-from galen_hw.services.calibration.settings import CalibrationSettings
+from galen_hw.services.calibration.settings import CalibrationSettings, overridden
 from galen_hw.services.calibration.state import Run, StaleError, SweepStoppedError
 from galen_hw.services.service import Output, Service, ServiceContext
 
@@ -89,7 +89,7 @@ class CalibrationService(Service):
         """Carry out start, resume, heartbeat or stop.
 
         Raises:
-            CommandRejectedError: not known, not now, or not so; nothing has changed.
+            CommandRejectedError: not known, or not now; nothing has changed. UsageError: arguments that are not possible.
         """
         if request.name == "start":
             return self._start(request, now_ns)
@@ -179,7 +179,7 @@ class CalibrationService(Service):
         """Plan a sweep and set it going, or wait for a first wrench.
 
         Raises:
-            CommandRejectedError: one runs already, or the arguments are not possible.
+            CommandRejectedError: one runs already, or not now. UsageError: the arguments are not possible.
         """
         if self._run is not None or self._asked is not None:
             kind = "start" if self._run is None else self._run.kind
@@ -216,23 +216,10 @@ class CalibrationService(Service):
         ]
 
     def _overridden(self, args: dict[str, Any]) -> CalibrationSettings:
-        counts = args.pop("counts", None)
         try:
-            settings = CalibrationSettings.model_validate(self._settings.model_dump() | args)
-            if counts is None:
-                return settings
-            axes = settings.model_dump()["axes"]
-            if not isinstance(counts, list) or len(counts) != len(axes):
-                what = f"counts {counts} do not fit the {len(axes)} axes of the sweep"
-                raise CommandRejectedError(what, where=self.name, todo=f"one number each for {', '.join(axes)}")
-            own = {name: axis | {"count": count} for (name, axis), count in zip(axes.items(), counts, strict=True)}
-            return CalibrationSettings.model_validate(settings.model_dump() | {"axes": own})
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"])
-            raise CommandRejectedError(
-                f"{key}: {first['msg']}", where=self.name, todo="correct the argument"
-            ) from error
+            return overridden(self._settings, args)
+        except UsageError as error:
+            raise UsageError(error.what, where=f"{self.name}: {error.where}", todo=error.todo) from error
 
     def _is_fresh(self, message: Message | None, now_ns: int) -> bool:
         return message is not None and message.t_ns >= now_ns - round(self._settings.stale_s * NS_PER_S)

@@ -1,8 +1,12 @@
 """Settings of the calibration sweep; angles in rad, every other unit in the key."""
 
-from typing import Annotated, Final, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from galen_hw.config.problems import Places, check
+from galen_hw.errors import UsageError
 
 MOST_POSES: Final = 1000
 """Of the grid: an hour of sweeping, and what is planned in some milliseconds."""
@@ -86,3 +90,36 @@ class CalibrationSettings(_Section):
         for axis in self.axes.values():
             total *= axis.count
         return total
+
+
+def overridden(settings: CalibrationSettings, args: Mapping[str, Any]) -> CalibrationSettings:
+    """Return the settings of one sweep: what its arguments say stands in place of what is configured.
+
+    Args:
+        args: by key; `counts` are the positions of each swept axis, whose ranges stay.
+
+    Raises:
+        UsageError: an argument that is not known or not possible; `where` is its key.
+    """
+    given = dict(args)
+    counts = given.pop("counts", None)
+    made = _checked(settings.model_dump() | given)
+    if counts is None:
+        return made
+    axes = made.model_dump()["axes"]
+    if not isinstance(counts, list) or len(counts) != len(axes):
+        what = f"{len(axes)} counts are asked for, one each for {', '.join(axes)}"
+        raise UsageError(what, where="counts", todo=f"e.g. {'x'.join(str(axis['count']) for axis in axes.values())}")
+    own = {name: axis | {"count": count} for (name, axis), count in zip(axes.items(), counts, strict=True)}
+    try:
+        return _checked(made.model_dump() | {"axes": own})
+    except UsageError as error:
+        raise UsageError(error.what, where="counts", todo=error.todo) from error
+
+
+def _checked(values: dict[str, Any]) -> CalibrationSettings:
+    made, problems = check(CalibrationSettings, values, (), Places("", ""))
+    if made is None:
+        raise UsageError(problems[0].what, where=problems[0].where.rpartition(": ")[2], todo=problems[0].todo)
+    assert isinstance(made, CalibrationSettings)
+    return made

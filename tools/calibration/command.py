@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import re
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -67,6 +66,11 @@ def run(args: argparse.Namespace) -> int:
         return _from_recording(args, console)
     if args.tool is None:
         raise UsageError("which tool?", where="--tool", todo="galen-hw tool list names them")
+    from galen_hw.tools.calibration.asked import check_virtual, overrides
+
+    overrides(args)
+    if args.virtual:
+        check_virtual(args)
     with ExitStack() as stack:
         return _live(args, console, _daemon(args, stack))
 
@@ -128,6 +132,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     from galen_hw.config.tool_store import ToolStore
     from galen_hw.permission import require_writable
     from galen_hw.recording import read_recording
+    from galen_hw.tools.calibration.asked import overrides
     from galen_hw.tools.calibration.poses import poses_of
     from galen_hw.tools.calibration.recorded import setting_of
     from galen_hw.tools.calibration.result import analyse, tool_file, with_terms
@@ -146,7 +151,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
         else by_hand(console, args.tool, addresses, ask=not args.yes)
     )
     console.print(f"[bold]calibrating {args.tool}[/]" + (" on a virtual robot" if virtual else ""))
-    folder, stopped = run_sweep(addresses, args.tool, _overrides(args), operator, console)
+    folder, stopped = run_sweep(addresses, args.tool, overrides(args), operator, console)
     if stopped:
         todo = f"what was measured can be fitted: galen-hw calibrate --from {folder} --tool {args.tool}"
         raise _StoppedError(stopped, where="sweep", todo=todo if _can_be_fitted(args.tool, folder) else "")
@@ -177,18 +182,6 @@ class _StoppedError(GalenError):
     """The sweep did not come to its end."""
 
     exit_code = 3
-
-
-def _overrides(args: argparse.Namespace) -> dict[str, Any]:
-    """Arguments of the sweep that differ from its settings."""
-    overrides: dict[str, Any] = {}
-    if args.poses is not None:
-        if not re.fullmatch(r"\d{1,4}(x\d{1,4})*", args.poses):
-            raise UsageError(f"{args.poses!r} is not TILTSxROLLS", where="--poses", todo="e.g. --poses 7x8")
-        # Only the counts: which joints are swept, and how far, is the daemon's to say.
-        overrides["counts"] = [int(count) for count in args.poses.split("x")]
-    overrides |= {key: getattr(args, key) for key in ("samples", "seed") if getattr(args, key) is not None}
-    return overrides | ({"bare_poses": 0} if args.no_bare else {})
 
 
 @dataclass(frozen=True)
