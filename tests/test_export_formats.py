@@ -37,6 +37,10 @@ def test_what_goes_out_comes_back(kind: str, name: str, tmp_path: Path, capsys: 
     assert main(["export", str(tmp_path / "table"), str(out), "--format", kind]) == 0
     said = capsys.readouterr().out
     back = read(out)
+    assert set(back.columns) - {"covariate.joint_age"} <= set(written.columns), (
+        "an effort that nobody measured is no zero"
+    )
+    assert not any("is left out" in line for line in back.warnings)
     for column, values in written.columns.items():
         if column not in back.columns:
             assert kind == "rosbag2"

@@ -20,11 +20,12 @@ from galen_hw.cli import main
 from galen_hw.config.paths import DEFAULT_CONFIG
 from galen_hw.errors import CommandRejectedError, UsageError
 from galen_hw.messages import TOPICS, CompensationState, Message, Quaternion, Request, TrackedPose, Vector3
-from galen_hw.recording import read_recording
+from galen_hw.recording import Recording, read_recording
 from galen_hw.recording.from_mcap import at_times
 from galen_hw.recording.mcap_reader import McapFile
 from galen_hw.recording.mcap_writer import message_schema
 from galen_hw.recording.session import Session
+from galen_hw.recording.to_mcap import write_mcap
 from galen_hw.services.recorder import RecorderService, RecorderSettings, chosen_topics
 from galen_hw.services.service import ServiceContext
 from tests.compensation_parts import BASE, MS, ROBOT, joints, raw, tool_file
@@ -320,3 +321,15 @@ def test_without_a_daemon_the_command_says_so(tmp_path: Path, capsys: pytest.Cap
     assert main(["record", "-o", str(tmp_path / "x.mcap"), "--dir", str(tmp_path)]) == 3
     assert "galen-hw run" in capsys.readouterr().err
     assert not (tmp_path / "x.mcap").exists()
+
+
+def test_an_export_that_is_interrupted_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Ctrl-C in the middle of the writing had left the hidden file that becomes the recording."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("galen_hw.recording.to_mcap.McapWriter.finish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_mcap(Recording({"time": np.arange(3.0)}), tmp_path / "x.mcap")
+    assert list(tmp_path.iterdir()) == []

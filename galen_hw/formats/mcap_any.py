@@ -48,7 +48,8 @@ def read(path: Path) -> Contents:
         decode = decoders[channel]
         stream = objects.setdefault(held.topic, _Objects(held.topic, held.schema))
         stream.add(decode, record.data, record.log_time)
-    contents = Contents(notes=list(file.warnings))
+    # Channels that the recorder's own reader leaves out are read here.
+    contents = Contents(notes=[text for text in file.warnings if not text.startswith("channel ")])
     for encoding in ready:
         found = ros[encoding].finish()
         contents.streams += found.streams
@@ -100,9 +101,14 @@ def _protobuf(held: Held) -> Callable[[bytes], Any] | None:
 
 
 def _plain(message: Any) -> dict[str, Any]:
-    """Every field by name, those at their default too: a coordinate of 0 is not written on the wire."""
+    """Every field by name, those at their default too: a coordinate of 0 is not written on the wire.
+
+    An optional number that was not set is none: nobody has measured it.
+    """
     out: dict[str, Any] = {}
     for field in message.DESCRIPTOR.fields:
+        if field.has_presence and not field.message_type and not message.HasField(field.name):
+            continue
         value = getattr(message, field.name)
         if field.is_repeated:
             out[field.name] = [_plain(v) if field.message_type else v for v in value]

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from math import isfinite, nan
 from pathlib import Path
 from typing import Any, Final
@@ -41,8 +42,10 @@ def write_mcap(recording: Recording, path: Path | str, *, encoding: Encoding = "
             _write(recording, McapWriter(stream, encoding=encoding, metadata=_metadata(recording)))
         scratch.replace(path)
     except OSError as error:
-        scratch.unlink(missing_ok=True)
         raise UsageError(f"cannot be written ({error.strerror or error})", where=str(path)) from error
+    finally:  # A Ctrl-C leaves nothing behind either.
+        with suppress(OSError):
+            scratch.unlink()
     return path
 
 
