@@ -154,12 +154,17 @@ def test_files_that_are_not_there_or_broken(tmp_path, capsys):
     junk.write_bytes(b"\x00\x01 not a recording")
     (tmp_path / "empty").mkdir()
     (tmp_path / "damaged.json").write_text("[]")
+    header = tmp_path / "head.csv"
+    header.write_text((good / "recording.csv").read_text().partition("\n")[0] + "\n")
     cases = {
         ("nowhere",): "there is no such recording",
         (str(broken),): "not JSON",
         (str(alone),): "there is no recording.json",
         (str(junk),): "not a format that is known",
-        (str(tmp_path / "empty"),): "there is no recording.csv",
+        (str(header),): f"{header}: there are no rows",
+        (
+            str(tmp_path / "empty"),
+        ): "there is no recording.csv or recording.parquet; give the folder that holds it, an MCAP",
         (str(good), "--holdout", "nowhere"): "there is no such recording",
         (str(good), "--holdout", "1.5"): "not a share",
         (str(good), "--simulation", "nowhere"): "nowhere",

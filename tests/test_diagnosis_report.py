@@ -1,5 +1,6 @@
 """What people see of a diagnosis: five lines, JSON as specified, a page that stands alone, one table for many recordings."""
 
+import argparse
 import json
 import math
 import re
@@ -18,6 +19,8 @@ from galen_hw.diagnosis.report.plot_data import Curve, Traces
 from galen_hw.diagnosis.report.plots import _binned
 from galen_hw.diagnosis.report.summary import in_one_unit, lines, summary, times_words
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
+from galen_hw.tools.diagnose import add_arguments
+from galen_hw.tools.diagnose_many import answers_to
 from galen_hw.tools.diagnose_screen import counting, show, table, working
 from tests import diagnosis_parts as parts
 
@@ -233,6 +236,20 @@ def test_a_folder_of_recordings_is_diagnosed_on_all_cores(folder: Path, capsys: 
     assert [a["findings"][0]["effect"] for a in answers] == ["drift", "time_delay"]
     assert {p.name for p in out.glob("*.html")} == {"page-late.html", "page-drifting.html"}
     assert "0 of 2 agree" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [[], ["--together"]])
+def test_a_cluster_for_one_diagnosis_is_said_to_be_of_no_use(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its address had been ignored in silence."""
+    monkeypatch.setattr("galen_hw.tools.diagnose_many._whole", lambda *_, **__: "answer")
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    args = parser.parse_args(["run", "--dask", "tcp://127.0.0.1:1", *words])
+    assert answers_to([tmp_path / name for name in ("run", "other")[: 1 + len(words)]], args) == ["answer"]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "galen-hw diagnose: --dask is for many recordings; one is diagnosed on this machine"
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +26,8 @@ def answers_to(paths: list[Place], args: argparse.Namespace) -> list[Diagnosis]:
         where = f"--time-limit {args.time_limit:g}"
         raise UsageError("not a time", where=where, todo="give seconds, or 0 for as long as it takes")
     if len(paths) == 1 or args.together:
+        if args.dask:
+            print("galen-hw diagnose: --dask is for many recordings; one is diagnosed on this machine", file=sys.stderr)
         with working(f"reading {paths[0].name}") as progress:
             return [_whole(paths, args, several=False, progress=progress)]
     from galen_hw.tools.clusters import on_cluster, on_this_machine

@@ -69,6 +69,8 @@ def format_of(path: Path) -> tuple[Format, Head]:
         for begin, within, what, todo in ELSE:
             if head.data.startswith(begin) and within in head.data:
                 raise UsageError(what, where=str(path), todo=todo)
+        if path.suffix == ".csv" and len(head.text.strip().splitlines()) == 1:
+            raise UsageError("there are no rows", where=str(path), todo="record something first")
         known = ", ".join(one.name for one in FORMATS)
         what = "is empty" if path.is_file() and not head.data else "not a format that is known"
         raise UsageError(what, where=str(path), todo=f"known are table folders and {known}: docs/import.md")

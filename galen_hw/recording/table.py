@@ -61,7 +61,8 @@ def _locate(path: Path) -> tuple[Path, Path, list[str]]:
         raise UsageError("not a recording", where=str(path), todo="give a table folder or an MCAP file")
     found = [folder / name for name in (CSV, PARQUET) if (folder / name).is_file()]
     if not found:
-        raise UsageError(f"there is no {CSV} or {PARQUET}", where=str(folder), todo="give the folder that holds it")
+        todo = "give the folder that holds it, an MCAP file, or a file of another program (docs/import.md)"
+        raise UsageError(f"there is no {CSV} or {PARQUET}", where=str(folder), todo=todo)
     both = [f"{PARQUET} lies beside {CSV} and is not read"] if len(found) == 2 else []
     return folder, found[0], both
 
