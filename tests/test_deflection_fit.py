@@ -170,10 +170,13 @@ def test_a_fit_ends_in_a_saved_model_and_a_page(
 def test_the_last_lines_of_a_fit_are_what_is_still_to_be_typed(
     tmp_path: Path, recorded: dict[str, dict[str, Array]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The tool is neither calibrated nor selected: both commands, then the reload; of a virtual robot the rigid arm is said."""
+    """The tool is neither calibrated nor selected: both commands, then the reload; of a virtual robot the rigid arm is said.
+
+    Where nobody can be asked it is not saved: status 4, as of a calibration that nobody accepted.
+    """
     for name, columns in recorded.items():
         write(tmp_path / "data", name, columns, virtual=True)
-    assert fit(tmp_path / "data", tmp_path / "state") == 0
+    assert fit(tmp_path / "data", tmp_path / "state") == 4
     assert "not saved, nobody can be asked: add --yes" in capsys.readouterr().err
     assert DeflectionStore(tmp_path / "state").names() == []
     assert fit(tmp_path / "data", tmp_path / "state", "--yes") == 0
@@ -195,10 +198,10 @@ def test_a_model_that_misses_its_own_measures_says_so(
     """Linear models of an arm that sticks and creeps: how much is left and what to record next, for people and scripts."""
     for name, columns in recorded.items():
         write(tmp_path / "data", name, columns)
-    assert fit(tmp_path / "data", tmp_path / "state") == 0
+    assert fit(tmp_path / "data", tmp_path / "state", "--no-save") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "times the tracker's noise: the model misses some; record four or more configurations" in said
-    assert fit(tmp_path / "data", tmp_path / "state", "--json") == 0
+    assert fit(tmp_path / "data", tmp_path / "state", "--json", "--no-save") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["models"][found["recommended"]]["times_noise"] > 1.2
     assert any("what is left is" in line for line in found["doubts"])

@@ -129,7 +129,7 @@ def test_a_deflection_fit_is_that_of_the_command(tmp_path, sets, capsys):
     for name, columns in sets.items():
         write(tmp_path / "session", name, columns)
     found = galen_hw.fit_deflection(tmp_path / "session", models=["linear"])
-    words = ["deflection", "fit", str(tmp_path / "session"), "--models", "linear", "--json"]
+    words = ["deflection", "fit", str(tmp_path / "session"), "--models", "linear", "--json", "--no-save"]
     assert main(words) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["saved"] is None

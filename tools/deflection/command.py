@@ -126,6 +126,7 @@ def read_model(path: Path) -> "DeflectionFile":
 
 
 def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
+    """Fit; 0 if the model was saved or was not to be, 4 if nothing can be fitted or nobody wanted it saved."""
     from galen_hw.extras import need
     from galen_hw.tools.answer import stamped
     from galen_hw.tools.deflection.data import recordings_in
@@ -159,7 +160,7 @@ def _fit(args: argparse.Namespace, store: "DeflectionStore") -> int:
             print(line, file=sys.stderr)
     if args.json:
         print(json.dumps(stamped(summary(out) | {"saved": None if saved is None else saved.id}), indent=1))
-    return EXIT_OK
+    return EXIT_REFUSED if saved is None and not args.no_save else EXIT_OK
 
 
 def _ask(as_json: bool) -> bool:
