@@ -10,7 +10,7 @@ import numpy.typing as npt
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.device import Output
 from galen_hw.drivers.reporting import FAR_NS
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import CommandError, Reply, Request
 
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -44,12 +44,12 @@ class HostBias:
         """Begin to average.
 
         Raises:
-            CommandRejectedError: wrong arguments, no samples, or already under way.
+            CommandRejectedError: no samples, or already under way. WrongCommandError: wrong arguments.
         """
         samples = request.args.get("samples", self.default_samples)
         if set(request.args) - {"samples"} or type(samples) is not int or not 1 <= samples <= 1_000_000:
             todo = "zero takes samples, a whole number from 1 to 1000000"
-            raise CommandRejectedError(f"wrong arguments {request.args}", where=self.where, todo=todo)
+            raise WrongCommandError(f"wrong arguments {request.args}", where=self.where, todo=todo)
         if not ready:
             raise CommandRejectedError("the sensor is not ready", where=self.where, todo="wait until its samples flow")
         self._refuse_if_active()

@@ -13,7 +13,7 @@ from galen_hw.drivers.dialogue import DialogueError
 from galen_hw.drivers.gauge_watch import GaugeWatch
 from galen_hw.drivers.kept_zero import Kept, KeptZero
 from galen_hw.drivers.reporting import FAR_NS, Reporter
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import CommandError, Reply, Request
 
 BROKEN_HOLD_S: Final = 1.0
@@ -149,7 +149,7 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
         known = {"zero": self._zero, "unzero": self._unzero, "restart": self._restart}
         if request.name not in known:
             todo = f"it knows {', '.join(known)}"
-            raise CommandRejectedError(f"unknown request {request.name!r}", where=self.name, todo=todo)
+            raise WrongCommandError(f"unknown request {request.name!r}", where=self.name, todo=todo)
         return known[request.name](request, now_ns)
 
     @abstractmethod

@@ -18,7 +18,7 @@ import zmq
 from msgspec.structs import replace
 
 from galen_hw.decoding import LARGEST_REQUEST, UnreadableError, decode_message, decode_reply, limit
-from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
+from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError, WrongCommandError
 from galen_hw.keys import prove
 from galen_hw.messages import STREAMS, TOPICS, CommandError, Message, Reply, Request, encode, encode_batch, too_old
 from galen_hw.permission import require_permission
@@ -326,9 +326,8 @@ def command_exception(error: CommandError) -> GalenError:
 
 def command_error(error: GalenError, kind: str = "") -> CommandError:
     """The typed error of a reply that an exception becomes."""
-    by_type = (
-        "fault" if isinstance(error, HardwareError) else "invalid" if isinstance(error, UsageError) else "rejected"
-    )
+    wrong = isinstance(error, UsageError | WrongCommandError)
+    by_type = "fault" if isinstance(error, HardwareError) else "invalid" if wrong else "rejected"
     return CommandError(kind=kind or by_type, what=error.what, where=error.where, todo=error.todo)
 
 

@@ -58,3 +58,9 @@ class HardwareError(GalenError):
 
 class CommandRejectedError(GalenError):
     """A command that is well formed but must not be carried out now; nothing was sent (exit status 4)."""
+
+
+class WrongCommandError(CommandRejectedError):
+    """A command that its target does not have, or with arguments that it does not take; nothing was sent (exit status 2)."""
+
+    exit_code = EXIT_USAGE

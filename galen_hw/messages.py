@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import msgspec
 
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import WrongCommandError
 
 
 class Vector3(msgspec.Struct, frozen=True, gc=False):
@@ -311,11 +311,11 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
         """Refuse arguments that the command does not take: a misspelt one must not mean the default of the right one.
 
         Raises:
-            CommandRejectedError: there are others than `known`.
+            WrongCommandError: there are others than `known`.
         """
         if unknown := sorted(self.args.keys() - set(known)):
             todo = f"it takes {', '.join(known)}" if known else "it takes no arguments"
-            raise CommandRejectedError(f"{self.name} takes no {', '.join(unknown)}", where=self.target, todo=todo)
+            raise WrongCommandError(f"{self.name} takes no {', '.join(unknown)}", where=self.target, todo=todo)
 
 
 class CommandError(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import CompensationState, Fault, JointsState, Message, Reply, Request, Status, WrenchCompensated
 from galen_hw.services.joint_rates import JointRates
 from galen_hw.services.service import Output, Service, ServiceContext
@@ -196,7 +196,7 @@ class AdmittanceService(Service):
         """
         enabled = request.args.get("enabled")
         if request.name != "set_enabled" or not isinstance(enabled, bool):
-            raise CommandRejectedError("not a command", where=self.name, todo="set_enabled enabled=true or false")
+            raise WrongCommandError("not a command", where=self.name, todo="set_enabled enabled=true or false")
         if not enabled:  # Whatever else the request holds: off is off.
             self._enabled, self._reason = False, "switched off"
             return [*self._rest(), Reply(id=request.id)]

@@ -13,7 +13,7 @@ from typing import IO, Any, ClassVar, Final
 from pydantic import BaseModel, ConfigDict, Field
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError
+from galen_hw.errors import CommandRejectedError, GalenError, HardwareError, UsageError, WrongCommandError
 from galen_hw.messages import TOPICS, Fault, Message, Reply, Request, Status
 from galen_hw.recording.mcap_writer import Encoding
 from galen_hw.recording.session import Session
@@ -90,7 +90,7 @@ class RecorderService(Service):
         """
         del now_ns
         if request.name not in ("start", "stop"):
-            raise CommandRejectedError(f"no command {request.name!r}", where=self.name, todo="one of: start, stop")
+            raise WrongCommandError(f"no command {request.name!r}", where=self.name, todo="one of: start, stop")
         if request.name == "start":
             request.require_only("file", "topics")
             if self._session is not None:

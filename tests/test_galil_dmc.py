@@ -14,10 +14,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from galil_parts import MS, Bench, GalilPeer, ready
 
+from galen_hw.bus import command_error, command_exception
 from galen_hw.clock import TimeBase
 from galen_hw.drivers.galil_dmc import GalilDmc
 from galen_hw.drivers.serial_transport import SerialTransport
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import EXIT_REFUSED, EXIT_USAGE, CommandRejectedError
 from galen_hw.messages import Reply, Request
 
 
@@ -121,6 +122,9 @@ def test_begin_refused_tells_the_code(code, words):
         ("move_jp", {"position": {"tilt": -1.2}}, r"tilt: position -1.2 rad is beyond the lower limit -1.04 rad"),
         ("move_jp", {"position": {"roll": math.nan}}, "roll: position nan is not a finite number"),
         ("move_jp", {"position": {"roll": True}}, "not a finite number"),
+        ("move_jp", {"position": {"roll": "17lb"}}, "'17lb' is not a finite number; give a number in rad, or .*deg"),
+        ("servo_jv", {"velocity": {"carriage1": "1kn"}}, "give a number in m/s, or with its unit: m/s, mm/s"),
+        ("move_jp", {"position": {"roll": 0.1}, "acceleration": {"roll": "a"}}, "give a number in rad/s.2"),
         ("move_jp", {"position": {"elbow": 0.0}}, "no joint 'elbow'"),
         ("move_jp", {"position": 3}, "position is not a table"),
         ("move_jp", {}, "names no position"),
@@ -135,10 +139,13 @@ def test_begin_refused_tells_the_code(code, words):
     ],
 )
 def test_wrong_requests_are_rejected_before_anything_is_sent(name, args, words):
-    """The message names joint, value and limit; the line stays silent."""
+    """The message names joint, value and limit; the line stays silent. What there is not is wrong use, a limit refuses."""
     bench = ready()
-    with pytest.raises(CommandRejectedError, match=words):
+    with pytest.raises(CommandRejectedError, match=words) as caught:
         bench.ask(name, **args)
+    beyond = any(word in words for word in ("limit", "outside", "acceleration 99"))
+    assert command_error(caught.value).kind == ("rejected" if beyond else "invalid")
+    assert command_exception(command_error(caught.value)).exit_code == (EXIT_REFUSED if beyond else EXIT_USAGE)
     bench.run(0.05)
     assert all(line.startswith(("QR", "MG", "gh=")) for line in bench.peer.lines)
 

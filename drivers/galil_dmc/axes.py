@@ -5,8 +5,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from galen_hw.drivers.galil_dmc.codec import per_axis
-from galen_hw.drivers.galil_dmc.settings import AxisSettings
-from galen_hw.errors import CommandRejectedError
+from galen_hw.drivers.galil_dmc.settings import PER, AxisSettings
+from galen_hw.errors import CommandRejectedError, WrongCommandError
+from galen_hw.units import SI
 
 _ACCELERATION_STEP: Final = 1024
 _SPEED_STEP: Final = 2
@@ -31,16 +32,19 @@ class Axes:
         """The finite numbers by joint under `key` of a request, empty if it is not there.
 
         Raises:
-            CommandRejectedError: not a table, an unknown joint, not a finite number.
+            WrongCommandError: not a table, an unknown joint, not a finite number.
         """
         table = args.get(key, {})
         if not isinstance(table, Mapping):
-            raise self.rejected(f"{key} is not a table of joints", "write {joint: number}")
+            raise self.wrong(f"{key} is not a table of joints", "write {joint: number}")
         for joint, value in table.items():
             if joint not in self.by_joint:
-                raise self.rejected(f"no joint {joint!r}", f"the joints are {', '.join(self.by_joint)}")
+                raise self.wrong(f"no joint {joint!r}", f"the joints are {', '.join(self.by_joint)}")
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise self.rejected(f"{joint}: {key} {value!r} is not a finite number", "")
+                unit = self.by_joint[joint].unit + PER[key]
+                known = [name for name, (si, _) in SI.items() if si == unit] or [unit]
+                what = f"{joint}: {key} {value!r} is not a finite number"
+                raise self.wrong(what, f"give a number in {unit}, or with its unit: {', '.join(known)}")
         return {joint: float(value) for joint, value in table.items()}
 
     @property
@@ -52,6 +56,10 @@ class Axes:
         """The error of a request that is not carried out."""
         return CommandRejectedError(what, where=self.where, todo=todo)
 
+    def wrong(self, what: str, todo: str) -> WrongCommandError:
+        """The error of a request that there is not."""
+        return WrongCommandError(what, where=self.where, todo=todo)
+
     def move(self, args: Mapping[str, Any]) -> list[str]:
         """The commands that prepare a move to the request's positions; BG comes after they are accepted.
 
@@ -61,9 +69,9 @@ class Axes:
         goal = self.table(args, "position")
         velocity, acceleration = self.table(args, "velocity"), self.table(args, "acceleration")
         if not goal:
-            raise self.rejected("move_jp names no position", "give position: {joint: value}")
+            raise self.wrong("move_jp names no position", "give position: {joint: value}")
         for extra in (velocity.keys() | acceleration.keys()) - goal.keys():
-            raise self.rejected(f"{extra}: velocity or acceleration without a position", "")
+            raise self.wrong(f"{extra}: velocity or acceleration without a position", "")
         for joint, value in goal.items():
             self._within(joint, value)
         speeds = self.pick(goal, velocity, "velocity")

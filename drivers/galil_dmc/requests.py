@@ -64,13 +64,13 @@ class GalilRequests:
         """Queue a request's script; the scripts that end for it.
 
         Raises:
-            CommandRejectedError: not known, not so, or not now.
+            CommandRejectedError: not now, or not so far or fast. WrongCommandError: not known.
         """
         known = ARGUMENTS.get(request.name)
         if known is None:
-            raise self._axes.rejected(f"no command {request.name!r}", f"the commands are {', '.join(ARGUMENTS)}")
+            raise self._axes.wrong(f"no command {request.name!r}", f"the commands are {', '.join(ARGUMENTS)}")
         if unknown := request.args.keys() - known:
-            raise self._axes.rejected(f"{request.name} takes no {', '.join(sorted(unknown))}", "")
+            raise self._axes.wrong(f"{request.name} takes no {', '.join(sorted(unknown))}", "")
         if not connected:
             raise self._axes.rejected(fault or "not connected yet", "wait until the status says ready")
         script = self._make[request.name](request.args)
@@ -144,7 +144,7 @@ class GalilRequests:
     def _servo(self, args: dict[str, Any]) -> Script:
         velocity = self._axes.table(args, "velocity")
         if not velocity:
-            raise self._axes.rejected("servo_jv names no velocity", "give velocity: {joint: value}")
+            raise self._axes.wrong("servo_jv names no velocity", "give velocity: {joint: value}")
         self._axes.jog(velocity)  # checks it against the limits
         self._may_move()
         for joint, value in velocity.items():

@@ -9,6 +9,8 @@ from galen_hw.drivers.galil_dmc.codec import VELOCITY_SCALE, VOLTS_PER_TORQUE_CO
 
 COUNTS_MAX: Final = 2**31 - 1
 """Counts are 32-bit signed; as a software limit this means "off"."""
+PER: Final = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+"""What follows an axis's own unit in the numbers of a request."""
 
 
 class AxisSettings(BaseModel):
@@ -140,8 +142,7 @@ class GalilSettings(BaseModel):
     @property
     def units(self) -> dict[str, str]:
         """SI units of a request's numbers, by their key: a joint that turns takes no millimetres."""
-        kinds = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
-        return {f"{kind}.{axis.joint}": axis.unit + per for axis in self.axes for kind, per in kinds.items()}
+        return {f"{kind}.{axis.joint}": axis.unit + per for axis in self.axes for kind, per in PER.items()}
 
     @model_validator(mode="after")
     def _long_enough(self) -> "GalilSettings":

@@ -28,7 +28,7 @@ from galen_hw.drivers.ndi_tracker.scripts import (
 from galen_hw.drivers.ndi_tracker.settings import NdiSettings
 from galen_hw.drivers.reporting import FAR_NS, Reporter
 from galen_hw.drivers.serial_line import LineControl
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import Reply, Request
 
 _FAILURES_TO_LOSE: Final = 3
@@ -104,10 +104,10 @@ class NdiTracker(Device[bytes]):
         """`restart`: connect anew.
 
         Raises:
-            CommandRejectedError: anything else, or not started yet.
+            CommandRejectedError: not started yet. WrongCommandError: anything else.
         """
         if request.name != "restart" or request.args:
-            raise CommandRejectedError(
+            raise WrongCommandError(
                 f"no command {request.name!r}", where=self.name, todo="the tracker takes restart, without arguments"
             )
         if self._stopped:

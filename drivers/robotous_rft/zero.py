@@ -10,7 +10,7 @@ from galen_hw.drivers.paired_sensor import told
 from galen_hw.drivers.reporting import FAR_NS
 from galen_hw.drivers.robotous_rft.codec import Command, command
 from galen_hw.drivers.robotous_rft.start import RobotousSettings
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import CommandError, Reply, Request
 
 SETTLE_NS = NS_PER_S // 20
@@ -43,12 +43,12 @@ class DeviceBias:
         """What to send; the reply comes from `add`.
 
         Raises:
-            CommandRejectedError: wrong arguments, no samples, or already under way.
+            CommandRejectedError: no samples, or already under way. WrongCommandError: wrong arguments.
         """
         samples = request.args.get("samples", self.settings.zero_samples)
         if set(request.args) - {"samples"} or type(samples) is not int or not 1 <= samples <= 1_000_000:
             todo = "zero takes samples, a whole number from 1 to 1000000"
-            raise CommandRejectedError(f"wrong arguments {request.args}", where=self.where, todo=todo)
+            raise WrongCommandError(f"wrong arguments {request.args}", where=self.where, todo=todo)
         self._refuse(ready=ready)
         self.active, self._request_id, self._wanted, self._tries = True, request.id, samples, 0
         patience_s = 1.0 + self.settings.tries * (0.1 + 2.0 * samples / self.settings.rate_hz)

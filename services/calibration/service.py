@@ -21,7 +21,7 @@ from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import NAME
-from galen_hw.errors import CommandRejectedError, GalenError, UsageError
+from galen_hw.errors import CommandRejectedError, GalenError, UsageError, WrongCommandError
 from galen_hw.messages import CommandError, Fault, JointsState, Message, Reply, Request, Status, WrenchRaw
 from galen_hw.services.calibration.file import SweepFile
 from galen_hw.services.calibration.hold import Expectation
@@ -112,10 +112,10 @@ class CalibrationService(Service):
                 stopped += self._refuse_asked(CommandRejectedError("stopped by request", where=self.name))
             return [*stopped, Reply(id=request.id, result={"running": meant is not None})]
         todo = "calibration takes start, resume, heartbeat and stop"
-        what = f"no request {request.name!r}"
         if request.name == "resume":
             what = "nothing waits for the tool" + (f": {self._last_stop}" if self._last_stop else "")
-        raise CommandRejectedError(what, where=self.name, todo=todo)
+            raise CommandRejectedError(what, where=self.name, todo=todo)
+        raise WrongCommandError(f"no request {request.name!r}", where=self.name, todo=todo)
 
     def reply(self, reply: Reply, now_ns: int) -> list[Output]:
         """Take a device's answer."""
@@ -190,7 +190,7 @@ class CalibrationService(Service):
         tool, kind = str(args.pop("tool", "")), str(args.pop("kind", "sweep"))
         if not re.fullmatch(NAME, tool) or kind not in ("sweep", "check"):
             todo = "start takes tool (a name) and kind (sweep or check)"
-            raise CommandRejectedError("not a sweep that can be started", where=self.name, todo=todo)
+            raise WrongCommandError("not a sweep that can be started", where=self.name, todo=todo)
         settings = self._overridden(args)
         if not self._is_fresh(self._last_joints, now_ns):
             raise self._no_samples(self._context.motors)

@@ -5,7 +5,7 @@ from typing import Any, Final
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import ToolFile
 from galen_hw.config.tool_store import ToolStore, binding_problems
-from galen_hw.errors import CommandRejectedError, GalenError
+from galen_hw.errors import CommandRejectedError, GalenError, WrongCommandError
 from galen_hw.messages import CommandError, Reply, Request, WrenchRaw
 from galen_hw.services.compensation.correction import Correction
 from galen_hw.services.compensation.model import ZERO, Six
@@ -59,7 +59,7 @@ class CompensationCommands:
         """
         args, name = request.args, request.name
         if name not in COMMANDS:
-            raise CommandRejectedError(f"no command {name!r}", where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
+            raise WrongCommandError(f"no command {name!r}", where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
         request.require_only(*COMMANDS[name])
         if name == "select_tool":
             return [Reply(id=request.id, result=self._select(args.get("tool", ...)))]

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.errors import CommandRejectedError, GalenError
+from galen_hw.errors import CommandRejectedError, GalenError, WrongCommandError
 from galen_hw.identification.deflection.stream import NONE, Place, Six, Triple, turned
 from galen_hw.messages import (
     CompensationState,
@@ -185,7 +185,7 @@ class DeflectionService(Service):
             request.require_only("enabled")
             enabled = request.args.get("enabled")
             if not isinstance(enabled, bool):
-                raise CommandRejectedError("enabled must be true or false", todo='send {"enabled": true}')
+                raise WrongCommandError("enabled must be true or false", todo='send {"enabled": true}')
             if enabled and not self._enabled and self._served.stream is not None:
                 self._served.stream.gap()  # What happened while it was off is not known.
             self._enabled = enabled
@@ -195,7 +195,7 @@ class DeflectionService(Service):
             self._place = None
         else:
             what = f"no command {request.name!r}"
-            raise CommandRejectedError(what, where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
+            raise WrongCommandError(what, where=self.name, todo=f"one of: {', '.join(COMMANDS)}")
         return [Reply(id=request.id, result={"model": self._served.id, "enabled": self._enabled})]
 
     def tick(self, now_ns: int) -> list[Output]:

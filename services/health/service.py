@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.config.tool_file import ToolFile, parse_tool
-from galen_hw.errors import CommandRejectedError, GalenError
+from galen_hw.errors import GalenError, WrongCommandError
 from galen_hw.messages import (
     TOPICS,
     CompensationState,
@@ -208,9 +208,9 @@ class HealthService(Service):
         """Refuse: there is nothing to ask for.
 
         Raises:
-            CommandRejectedError: always.
+            WrongCommandError: always.
         """
-        raise CommandRejectedError(f"no command {request.name!r}", where=self.name, todo="see galen-hw status")
+        raise WrongCommandError(f"no command {request.name!r}", where=self.name, todo="see galen-hw status")
 
     def snapshot(self) -> dict[str, Any]:
         """Nothing outlives the process."""

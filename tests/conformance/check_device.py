@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from galen_hw.clock import TimeBase
 from galen_hw.drivers.device import CanFrame, Device
-from galen_hw.errors import CommandRejectedError
+from galen_hw.errors import CommandRejectedError, WrongCommandError
 from galen_hw.messages import TOPICS, Request
 
 TIME_BASE = TimeBase(1_700_000_000_000_000_000)
@@ -225,7 +225,7 @@ def check_unknown_request_is_rejected(case: Case) -> None:
         with pytest.raises(CommandRejectedError, match=r"\w"):
             run.device.request(Request(id="1", target="dut", name=name), run.now_ns)
     run.start()
-    with pytest.raises(CommandRejectedError, match="no_such_request"):
+    with pytest.raises(WrongCommandError, match="no_such_request"):
         run.device.request(Request(id="1", target="dut", name="no_such_request"), run.now_ns)
     assert run.sent == []
 
