@@ -419,3 +419,16 @@ def test_json_may_go_where_the_summary_goes_otherwise(tmp_path: Path, capsys: py
     assert [f["effect"] for f in json.loads(out)["findings"]] == ["payload"]
     assert "named physics explains it" in " ".join(err.split())
     assert not (tmp_path / "-").exists()
+
+
+def test_check_and_import_say_how_far_they_are(tmp_path, capsys):
+    """On stderr, as diagnose does; what is refused while it is read stays one line."""
+    folder = write(tmp_path / "run", recording(), INFO)
+    assert main(["check", str(folder), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["recordings"]
+    assert err == "examining run\n"
+    assert main(["import", str(folder), "-o", str(tmp_path / "out.mcap")]) == 0
+    assert capsys.readouterr().err == "examining out.mcap\n"
+    assert main(["check", str(tmp_path / "none")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

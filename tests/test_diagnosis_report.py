@@ -21,7 +21,8 @@ from galen_hw.diagnosis.report.summary import in_one_unit, lines, summary, times
 from galen_hw.diagnosis.result import Diagnosis, Finding, Value
 from galen_hw.tools.diagnose import add_arguments
 from galen_hw.tools.diagnose_many import answers_to
-from galen_hw.tools.diagnose_screen import counting, show, table, working
+from galen_hw.tools.diagnose_screen import show, table
+from galen_hw.tools.progress import counting, working
 from tests import diagnosis_parts as parts
 
 KEYS = {

@@ -48,9 +48,11 @@ def _asked(where: Place, robot: "RobotFile | None", info: dict[str, Any]) -> dic
     from galen_hw.formats import read
     from galen_hw.premises import examined
     from galen_hw.recording.observations import named_in, observations_of
+    from galen_hw.tools.progress import working
 
-    with at_hand([where]) as (path,):
+    with working(f"reading {where.name}") as progress, at_hand([where]) as (path,):
         recording = read(path, robot=robot, info=info)
+        progress(f"examining {where.name}", 0.5)
         with named_in(recording):
             seen = observations_of(recording)
             found = examined(seen)

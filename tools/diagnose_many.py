@@ -15,8 +15,8 @@ from galen_hw.errors import UsageError
 from galen_hw.formats import read as read_recording
 from galen_hw.formats.remote import Place, Remote, at_hand, place, recordings_in
 from galen_hw.recording import Recording
-from galen_hw.tools.diagnose_screen import counting, working
 from galen_hw.tools.diagnose_tool import model_to_save, tool_named, with_tool
+from galen_hw.tools.progress import counting, working
 from galen_hw.tools.robot_given import keys_given, robot_given
 
 

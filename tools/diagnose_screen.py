@@ -1,13 +1,10 @@
-"""A diagnosis on the terminal: the five lines of each recording, one table for many, a bar while it works."""
+"""A diagnosis on the terminal: the five lines of each recording, one table for many."""
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -15,8 +12,6 @@ from galen_hw.diagnosis.report.summary import VERDICTS, lines, summary
 from galen_hw.diagnosis.result import Diagnosis
 
 COLOURS = {"agrees": "green", "explained": "cyan", "partly_explained": "yellow", "unexplained": "red"}
-LINES = 10
-"""At most so many lines tell of many recordings where there is no bar."""
 FEW = 3
 """Up to so many recordings are told one by one; of more there is the table, and JSON and pages for the rest."""
 
@@ -76,51 +71,3 @@ def _common(names: Sequence[str]) -> str:
     """The folder that all recordings are in."""
     folders = {str(Path(name).parent) for name in names}
     return f"{folders.pop()}/" if len(folders) == 1 else ""
-
-
-@contextmanager
-def working(what: str) -> Iterator[Callable[[str, float], None]]:
-    """A bar on stderr for one recording, or a line a stage where stderr is no terminal.
-
-    What it yields is told the stage and its share of the whole.
-    """
-    with _bar() as progress:
-        task = progress.add_task(what, total=1.0)
-        said = [what]
-
-        def told(stage: str, share: float) -> None:
-            progress.update(task, description=stage, completed=min(max(share, 0.0), 1.0))
-            # Reading and the first look are not said: what they refuse stays one line, its error.
-            if stage != said[-1] and share > 0.0:
-                said.append(stage)
-                _say(progress, stage)
-
-        yield told
-
-
-@contextmanager
-def counting(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar on stderr for many recordings, or some lines where stderr is no terminal; what it yields is called after each."""
-    with _bar(MofNCompleteColumn()) as progress:
-        task = progress.add_task(what, total=total)
-        _say(progress, f"{what} {total} recordings")
-
-        def done() -> None:
-            progress.advance(task)
-            count = int(progress.tasks[0].completed)
-            if LINES * count // total > LINES * (count - 1) // total:
-                _say(progress, f"{count} of {total}")
-
-        yield done
-
-
-def _say(progress: Progress, text: str) -> None:
-    """A line where there is no bar."""
-    if progress.disable:
-        print(text, file=sys.stderr, flush=True)
-
-
-def _bar(*more: MofNCompleteColumn) -> Progress:
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description:<28}"), BarColumn(40), *more, TimeElapsedColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

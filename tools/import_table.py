@@ -61,11 +61,15 @@ def _import(args: argparse.Namespace) -> int:
     from galen_hw.formats import import_files
     from galen_hw.formats.own import is_own
     from galen_hw.recording import read_recording
+    from galen_hw.tools.progress import working
 
-    robot = robot_given(args)
+    robot, reading = robot_given(args), f"reading {args.files[0].name}"
     if len(args.files) == 1 and is_own(args.files[0]) and args.write_map is None:
-        return _write(with_keys(read_recording(args.files[0]), args, robot), args)
-    imported = import_files(args.files, args.map, keys_given(args), robot)
+        with working(reading):
+            recording = with_keys(read_recording(args.files[0]), args, robot)
+        return _write(recording, args)
+    with working(reading):
+        imported = import_files(args.files, args.map, keys_given(args), robot)
     _show(imported)
     if args.write_map is not None:
         _write_map(imported.used, args)
@@ -110,15 +114,20 @@ def _write(recording: "Recording", args: argparse.Namespace) -> int:
     from galen_hw.recording import write_table
     from galen_hw.recording.checks import check
     from galen_hw.recording.to_mcap import write_mcap
+    from galen_hw.tools.progress import working
 
     out: Path = args.output
-    if out.suffix == ".mcap":
-        write_mcap(recording, out, encoding=args.encoding, overwrite=args.overwrite)
-    else:
-        kind: Literal["csv", "parquet"] = args.format or ("parquet" if len(recording) >= LARGE else "csv")
-        write_table(recording, out, kind, overwrite=args.overwrite)
+    with working(f"writing {out.name}") as progress:
+        if out.suffix == ".mcap":
+            write_mcap(recording, out, encoding=args.encoding, overwrite=args.overwrite)
+        else:
+            kind: Literal["csv", "parquet"] = args.format or ("parquet" if len(recording) >= LARGE else "csv")
+            write_table(recording, out, kind, overwrite=args.overwrite)
+        progress(f"examining {out.name}", 0.5)
+        lines = [*dict.fromkeys((*recording.warnings, *check(recording))), *_premises(recording)]
+    # After the bar, which would take what is printed to its own terminal.
     print(f"{out}: {len(recording)} rows, {len(recording.columns)} columns")
-    for line in (*dict.fromkeys((*recording.warnings, *check(recording))), *_premises(recording)):
+    for line in lines:
         print(f"  {line}")
     return EXIT_OK
 
