@@ -28,7 +28,28 @@ def recording() -> Recording:
     )
 
 
-@pytest.mark.parametrize(("kind", "name"), [("mat", "run.mat"), ("rosbag2", "bag"), ("foxglove", "run.mcap")])
+EXPORTED = pytest.mark.parametrize(("kind", "name"), [("mat", "run.mat"), ("rosbag2", "bag"), ("foxglove", "run.mcap")])
+
+
+@EXPORTED
+@pytest.mark.parametrize("robot", ["galen", "arm.urdf"])
+def test_what_a_recording_belongs_to_goes_along(kind: str, name: str, robot: str, tmp_path: Path) -> None:
+    """Robot, tool, bias body, gravity, what is compared: a Galen's recording had come back without any of them."""
+    body = {"mass": 0.085, "com": [0.002, -0.001, 0.011]}
+    about = {"robot": robot, "predict": "effort", "virtual": True, "gravity": [0.0, 0.1, -9.8], "bias_body": body}
+    about |= {"tool": {"name": "pointer", "mass": 0.152, "com": [0.0, 0.0, -0.04]}, "zeroed_at": [0.0, 0.0, 0.0, 1.0]}
+    written = replace(recording(), info=RecordingInfo.model_validate(about))
+    write_table(written, tmp_path / "table")
+    assert main(["export", str(tmp_path / "table"), str(tmp_path / "out" / name), "--format", kind]) == 2
+    (tmp_path / "out").mkdir()
+    assert main(["export", str(tmp_path / "table"), str(tmp_path / "out" / name), "--format", kind]) == 0
+    back = read(tmp_path / "out" / name)
+    assert back.info == written.info
+    assert back.urdf_text == written.urdf_text
+    assert not any("not taken" in line for line in back.warnings)
+
+
+@EXPORTED
 def test_what_goes_out_comes_back(kind: str, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every column that the format has a place for, every digit; what it has none for is said."""
     written = recording()

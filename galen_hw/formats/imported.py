@@ -18,7 +18,7 @@ from galen_hw.formats.table import read_contents
 from galen_hw.kinematics.xacro import RobotFile
 from galen_hw.recording import Recording, read_recording
 from galen_hw.recording.checks import check
-from galen_hw.recording.info import info_of, parse_info
+from galen_hw.recording.info import INFO, info_of, parse_info
 from galen_hw.recording.recording import group_of
 
 MAP_SUFFIX: Final = ".map.toml"
@@ -128,8 +128,8 @@ def import_files(
         return Imported(Recording({}), what, titles, (), tuple(name for name, _ in named))
     if not what.entries:
         raise _nothing(paths, contents)
-    what.info = _beside(paths[0]) | what.info | (info or {})
     texts = {name: text for one in contents for name, text in one.texts.items()}
+    what.info = _within(texts, paths[0]) | _beside(paths[0]) | what.info | (info or {})
     if robot is not None:
         what.info["robot"], texts[robot.name] = robot.name, robot.text
     notes = [line for one in contents for line in (*one.how, *one.notes)]
@@ -184,12 +184,19 @@ def _can(path: Path, given: Map) -> tuple[str, Contents]:
     return (found.name, can_log.read(path, given.can)) if found.module == "can_log" else read_contents(path)
 
 
+def _within(texts: dict[str, str], path: Path) -> dict[str, Any]:
+    """The keys of a recording.json in the file itself, as our own exports have it."""
+    return _said(texts[INFO], f"{path}: {INFO}") if INFO in texts else {}
+
+
 def _beside(path: Path) -> dict[str, Any]:
     """The keys of a recording.json in the same folder."""
-    file = path.parent / "recording.json"
-    if not file.is_file():
-        return {}
-    info = parse_info(file.read_text(encoding="utf-8-sig"), str(file))
+    file = path.parent / INFO
+    return _said(file.read_text(encoding="utf-8-sig"), str(file)) if file.is_file() else {}
+
+
+def _said(text: str, where: str) -> dict[str, Any]:
+    info = parse_info(text, where)
     return info.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 

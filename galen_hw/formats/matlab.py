@@ -9,6 +9,7 @@ import numpy as np
 
 from galen_hw.formats.contents import Contents, Head, needed, unreadable
 from galen_hw.formats.frames import streams_of_arrays
+from galen_hw.recording.info import INFO, URDF
 
 _HEAD: Final = re.compile(rb"MATLAB \d\.\d MAT-file")
 
@@ -42,6 +43,11 @@ def read(path: Path) -> Contents:
     except Exception as error:  # noqa: BLE001 - a cut-off file makes the reader raise anything
         raise unreadable(path, error or type(error).__name__, "is it whole? save it again with -v7.3") from None
     contents = Contents()
+    if "recording" in found:  # as our own export writes it
+        for name, document in (("info", INFO), ("robot_description", URDF)):
+            if isinstance(text := _plain(found.get(name)), np.ndarray) and text.dtype.kind == "U" and text.size == 1:
+                contents.texts[document] = str(text.item())
+                del found[name]
     streams_of_arrays({k: _plain(v) for k, v in found.items() if not k.startswith("__")}, contents)
     return contents
 

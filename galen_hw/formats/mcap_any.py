@@ -13,6 +13,7 @@ import numpy as np
 from galen_hw.clock import NS_PER_S
 from galen_hw.formats.contents import Contents, Head, Stream, needed
 from galen_hw.formats.ros_streams import Topics, long_name, type_definitions
+from galen_hw.recording.info import INFO, URDF
 from galen_hw.recording.mcap_reader import MAGIC, Held, McapFile
 
 MOST_ELEMENTS = 64
@@ -58,7 +59,8 @@ def read(path: Path) -> Contents:
         contents.texts |= found.texts
     for one in objects.values():
         one.finish(contents)
-    contents.texts |= {n: t for n, t in file.attachments.items() if n.endswith((".urdf", "recording.json"))}
+    texts = {name: text for name, text in file.metadata.items() if name in (INFO, URDF) and text} | file.attachments
+    contents.texts |= {n: t for n, t in texts.items() if n.endswith((".urdf", INFO))}
     return contents
 
 

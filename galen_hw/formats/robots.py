@@ -9,6 +9,7 @@ from galen_hw.errors import UsageError
 from galen_hw.formats.contents import Contents
 from galen_hw.formats.mapping import Entry, Map
 from galen_hw.kinematics.urdf import MOVING, Urdf, read_urdf
+from galen_hw.recording.info import URDF
 from galen_hw.recording.recording import joint_column
 
 NUMBERED: Final = "joint_"
@@ -25,8 +26,8 @@ def attach_robot(what: Map, texts: dict[str, str], path: Path, targets: Sequence
         UsageError: a file that is named and not there.
     """
     name, notes = what.info.get("robot"), []
-    if name is None and "robot.urdf" in texts:
-        what.info["robot"] = "robot.urdf"
+    if name is None and URDF in texts:
+        what.info["robot"] = URDF
         notes.append("the robot is the one that the file describes")
     elif name is None and any(joint_column(target) for target in targets):
         found = sorted(path.parent.glob("*.urdf"))
@@ -37,6 +38,9 @@ def attach_robot(what: Map, texts: dict[str, str], path: Path, targets: Sequence
     elif name not in (None, "galen") and name not in texts:
         places = [what.beside / str(name), path.parent / str(name)]
         file = next((place for place in places if place.is_file()), None)
+        if file is None and URDF in texts:
+            texts[str(name)] = texts[URDF]
+            return notes
         if file is None:
             raise UsageError(
                 "the robot's file is not there", where=str(places[-1]), todo="put the URDF beside the recording"

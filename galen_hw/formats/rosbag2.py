@@ -12,6 +12,7 @@ from typing import Any, Final
 from galen_hw.formats import mcap_any
 from galen_hw.formats.contents import Contents, Head, needed, unreadable
 from galen_hw.formats.ros_streams import Topics, long_name, type_definitions
+from galen_hw.recording.info import INFO
 
 SQLITE: Final = b"SQLite format 3\0"
 FILES: Final = ("*.db3", "*.mcap")
@@ -72,6 +73,8 @@ def _by_rosbags(reader: Any) -> Contents:
         topics.add(topic, kind, raw, log_ns)
         count += 1
     contents = topics.finish()
+    if text := (reader.storage.metadata.custom or {}).get(INFO):
+        contents.texts[INFO] = text
     if count != reader.message_count:
         contents.notes.append(f"{count} messages are there of {reader.message_count} that its metadata counts")
     return contents

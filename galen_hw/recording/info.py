@@ -10,6 +10,8 @@ from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 from galen_hw.units import STANDARD_GRAVITY
 
+INFO, URDF = "recording.json", "robot.urdf"
+"""Documents that a recording of one file bears within it."""
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 

@@ -78,6 +78,14 @@ class Recording:
             return None
         return self.attachments.get(name, self.path / name)
 
+    @property
+    def urdf_text(self) -> str:
+        """The text of `urdf`; empty where there is none."""
+        urdf = self.urdf
+        if isinstance(urdf, Path):
+            return urdf.read_text(encoding="utf-8") if urdf.is_file() else ""
+        return urdf or ""
+
     def with_robot(self, name: str, text: str) -> "Recording":
         """Return the same with another robot: the name of its URDF, and its text."""
         info = self.info.model_copy(update={"robot": name})

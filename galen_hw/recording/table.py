@@ -15,7 +15,7 @@ import numpy as np
 from galen_hw.errors import UsageError
 from galen_hw.extras import need
 from galen_hw.recording.checks import check
-from galen_hw.recording.info import RecordingInfo, read_info
+from galen_hw.recording.info import INFO, RecordingInfo, read_info
 from galen_hw.recording.recording import Recording
 from galen_hw.spatial import Array
 
@@ -28,7 +28,7 @@ EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
 """Cells that mean "not measured"."""
 ROW_GROUP = 65536
 """Rows that are written at once."""
-CSV, PARQUET, INFO = "recording.csv", "recording.parquet", "recording.json"
+CSV, PARQUET = "recording.csv", "recording.parquet"
 
 
 def read_table(path: Path, *, info_needed: bool = True) -> Recording:

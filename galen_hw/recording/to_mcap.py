@@ -61,10 +61,8 @@ def _metadata(recording: Recording) -> dict[str, str]:
 
 def _write(recording: Recording, writer: McapWriter) -> None:
     writer.attach("recording.json", recording.info.to_json())
-    urdf = recording.urdf
-    if urdf is not None and recording.info.robot:
-        text = urdf if isinstance(urdf, str) else urdf.read_text(encoding="utf-8") if urdf.is_file() else ""
-        writer.attach(recording.info.robot, text, media_type="application/xml")
+    if recording.urdf is not None and recording.info.robot:
+        writer.attach(recording.info.robot, recording.urdf_text, media_type="application/xml")
     columns = {name: values.tolist() for name, values in recording.columns.items()}
     time = columns.get("time") or [float(i) for i in range(len(recording))]
     has_wrench = all(name in columns for name in WRENCH)

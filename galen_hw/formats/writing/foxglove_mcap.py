@@ -10,6 +10,7 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.errors import UsageError
 from galen_hw.formats.contents import needed
 from galen_hw.recording import Recording
+from galen_hw.recording.info import INFO, URDF
 from galen_hw.recording.recording import POSE, SENSOR_ORIENTATION, WRENCH, joint_column
 
 VECTOR: Final = {"type": "object", "properties": {a: {"type": "number"} for a in "xyz"}}
@@ -34,7 +35,7 @@ def write(recording: Recording, path: Path) -> list[str]:
     context = foxglove.Context()
     with warnings.catch_warnings(), foxglove.open_mcap(str(path), context=context) as file:
         warnings.simplefilter("ignore")
-        file.write_metadata("galen-hw", {"recording.json": recording.info.to_json()})
+        file.write_metadata("galen-hw", {INFO: recording.info.to_json(), URDF: recording.urdf_text})
         _write(recording, foxglove, channels, messages, context)
     return []
 

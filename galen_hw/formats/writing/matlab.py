@@ -25,5 +25,8 @@ def write(recording: Recording, path: Path) -> list[str]:
         raise needed("mat-io", "a MATLAB file")(error) from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        save_to_mat(str(path), {"recording": pd.DataFrame(recording.columns), "info": recording.info.to_json()})
+        held = {"recording": pd.DataFrame(recording.columns), "info": recording.info.to_json()}
+        if text := recording.urdf_text:
+            held["robot_description"] = text
+        save_to_mat(str(path), held)
     return []

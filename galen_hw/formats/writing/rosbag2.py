@@ -1,4 +1,6 @@
-"""A recording as a ROS 2 bag (MCAP storage): standard messages on usual topics, the robot as /robot_description.
+"""A recording as a ROS 2 bag (MCAP storage): standard messages on usual topics, a URDF as /robot_description.
+
+recording.json is in the custom data of its metadata.yaml.
 
 Stamps are the time of the recording, on its epoch where that is known, else from 0. A sample that was not measured is no message.
 """
@@ -13,6 +15,7 @@ from galen_hw.clock import NS_PER_S
 from galen_hw.errors import UsageError
 from galen_hw.formats.contents import needed
 from galen_hw.recording import Recording
+from galen_hw.recording.info import INFO
 from galen_hw.recording.recording import JOINT_KINDS, POSE, SENSOR_ORIENTATION, WRENCH, group_of
 
 Sample = tuple[str, str, int, Any]
@@ -37,6 +40,7 @@ def write(recording: Recording, path: Path) -> list[str]:
     store = get_typestore(Stores.ROS2_HUMBLE)
     messages = _Messages(recording, store.types)
     with Writer(path, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
+        bag.set_custom_data(INFO, recording.info.to_json())
         connections: dict[str, Any] = {}
         for topic, kind, ns, message in sorted(messages, key=lambda sample: sample[2]):
             if topic not in connections:
@@ -63,9 +67,7 @@ class _Messages:
     def __iter__(self) -> Iterator[Sample]:
         recording, info = self._recording, self._recording.info
         sensor, base = info.sensor_link or "sensor", info.base_link or "base"
-        urdf = recording.urdf
-        if urdf is not None:
-            text = urdf if isinstance(urdf, str) else urdf.read_text(encoding="utf-8") if urdf.is_file() else ""
+        if text := recording.urdf_text:
             yield "/robot_description", "std_msgs/msg/String", self._ns[0], self._types["std_msgs/msg/String"](text)
         if recording.has(*WRENCH):
             yield from self._stamped("/ft/wrench", "WrenchStamped", sensor, WRENCH, self._wrench)
