@@ -135,9 +135,18 @@ def test_a_stopped_sweep_is_offered_for_a_fit_only_if_it_is_enough_for_one(tmp_p
 
 
 def test_nothing_is_active_until_it_is_accepted(capsys, poses):
-    """Without --yes and without a terminal to ask at: exit 4, and the tool is as before."""
+    """Without --yes and without a terminal to ask at: exit 4, and the tool is as before; what to type is one line."""
+    poses = poses.rename(poses.with_name(f"poses of a {'long ' * 30}day"))
     assert main(["calibrate", "--from", str(poses), "--tool", "retractor"]) == 4
-    assert "not accepted: nothing has changed" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "not accepted: nothing has changed" in said
+    assert f"galen-hw calibrate --tool retractor --from '{poses}'\n" in said
+    assert main(["calibrate", "--from", str(poses), "--yes", "--tool", "pointer"]) == 0
+    assert re.search(
+        r"^accepted: pointer/0001\S+  mass [0-9.]+ g, centre of mass .* mm\n/.*/0001.json$",
+        capsys.readouterr().out,
+        re.MULTILINE,
+    )
     _, shown = as_json(capsys, "tool", "show", "retractor")
     assert not shown["calibrated"]
 
@@ -237,6 +246,7 @@ def test_without_a_daemon_it_says_so(capsys):
         (["calibrate", "--tool", "pointer", "--sensor-link", "tool0"], "--sensor-link: only of a recording"),
         (["calibrate", "--virtual", "--tool", "../../evil"], "'../../evil' cannot be a tool's name"),
         (["calibrate", "--virtual", "--tool", "pointer", "--report", __file__], "is a file, not a folder"),
+        ([*VIRTUAL, "--report", "no where/a.html"], "there is no such folder; mkdir 'no where'"),
         (["calibrate", "--virtual", "--tool", "retracter"], "no tool 'retracter'"),
         (["calibrate", "--virtual", "--tool", "pointer", "--config", "none.toml"], "none.toml: no such file"),
         ([*VIRTUAL, "--poses", "7"], "--poses: 2 counts are asked for, one each for tilt, roll; e.g. 7x8"),

@@ -1,5 +1,6 @@
 """Where a command writes: `-o` and `--report` mean the same everywhere, and what cannot be written is said before the work."""
 
+import shlex
 from pathlib import Path
 
 from galen_hw.config.paths import require_folder
@@ -17,7 +18,7 @@ def check_file(path: Path, option: str) -> None:
     if path.is_dir():
         raise UsageError("is a folder", where=f"{option} {path}", todo="name a file in it")
     if not path.parent.is_dir():
-        raise UsageError("there is no such folder", where=f"{option} {path}", todo=f"mkdir {path.parent}")
+        raise UsageError("there is no such folder", where=f"{option} {path}", todo=f"mkdir {shlex.quote(str(path.parent))}")
 
 
 def report_page(given: Path) -> Path:

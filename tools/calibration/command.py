@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import shlex
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
     console = Console(stderr=args.json)
     if not console.is_terminal:
-        console = Console(stderr=args.json, width=128)
+        console = Console(stderr=args.json, width=128, soft_wrap=True)  # tables have a width, lines have none
     _check(args)
     if args.recording is not None:
         return _from_recording(args, console)
@@ -153,7 +154,7 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     console.print(f"[bold]calibrating {args.tool}[/]" + (" on a virtual robot" if virtual else ""))
     folder, stopped = run_sweep(addresses, args.tool, overrides(args), operator, console)
     if stopped:
-        todo = f"what was measured can be fitted: galen-hw calibrate --from {folder} --tool {args.tool}"
+        todo = f"what was measured can be fitted: galen-hw calibrate --from {shlex.quote(str(folder))} --tool {args.tool}"
         raise _StoppedError(stopped, where="sweep", todo=todo if _can_be_fitted(args.tool, folder) else "")
     recording = read_recording(folder)
     found = poses_of(recording)
@@ -206,7 +207,7 @@ def _conclude(session: _Session, result: "Result", tool: "ToolFile", premises: "
         tool = session.store.save(tool)
         assert tool.origin is not None
         path = session.store.path(tool.name, tool.origin.generation)
-        console.print(show_accepted(tool, str(path)))
+        show_accepted(console, tool, str(path))
         if session.addresses is not None:
             check = _select_and_check(session, tool, result)
             if check is not None:
@@ -242,7 +243,7 @@ def _can_draw(console: "Console") -> bool:
 
 def _how_later(tool: "ToolFile") -> str:
     sweep = tool.origin.sweep if tool.origin else ""
-    return f"; the sweep is kept: galen-hw calibrate --tool {tool.name} --from {sweep}" if sweep else ""
+    return f"; the sweep is kept: galen-hw calibrate --tool {tool.name} --from {shlex.quote(sweep)}" if sweep else ""
 
 
 def _ask(console: "Console", name: str) -> bool:

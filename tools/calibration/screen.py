@@ -3,7 +3,7 @@
 import numpy as np
 from rich import box
 from rich.columns import Columns
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.padding import Padding
 from rich.panel import Panel
 from rich.table import Table
@@ -23,11 +23,17 @@ def show_result(console: Console, result: Result) -> None:
     """Everything up to the question whether to accept."""
     console.print(candidates_table(result, console.width))
     console.print(Text.assemble(("  recommended  ", "bold green"), (result.best.title, "bold")))
-    console.print(Padding(result.comparison.reason, (0, 0, 1, 15)))
+    _say(console, Text(result.comparison.reason), 15)
+    console.print()
     console.print(Columns([parameters_table(result), residual_table(result)], padding=(0, 4)))
     for line in result.remarks:
-        console.print(Padding(Text.assemble(("! ", "yellow"), line), (0, 0, 0, 1)))
+        _say(console, Text.assemble(("! ", "yellow"), line), 1)
     console.print()
+
+
+def _say(console: Console, text: Text, indent: int) -> None:
+    """Print a line of prose: wrapped on a terminal, unbroken where a program reads."""
+    console.print(Padding(text, (0, 0, 0, indent)) if console.is_terminal else Text(" " * indent) + text)
 
 
 def candidates_table(result: Result, width: int = 120) -> Table:
@@ -152,14 +158,17 @@ def check_table(rms: Array, raw: Array, noise: Array) -> Table:
     return table
 
 
-def show_accepted(tool: ToolFile, path: str) -> RenderableType:
-    """The tool that is in use from now on."""
+def show_accepted(console: Console, tool: ToolFile, path: str) -> None:
+    """Print the tool that is in use from now on; without a frame, which would break the path, where a program reads."""
     assert tool.mass is not None
     assert tool.com is not None
     com = ", ".join(f"{1e3 * x:.2f}" for x in tool.com)
-    text = f"[bold]{tool.calibration_id}[/]  mass {1e3 * tool.mass:.2f} g, centre of mass ({com}) mm\n{path}"
+    text = Text.assemble((f"{tool.calibration_id}", "bold"), f"  mass {1e3 * tool.mass:.2f} g, centre of mass ({com}) mm\n{path}")
     title = "accepted, for virtual robots" if tool.origin and tool.origin.virtual else "accepted"
-    return Panel(text, title=title, title_align="left", border_style="green", expand=False)
+    if console.is_terminal:
+        console.print(Panel(text, title=title, title_align="left", border_style="green", expand=False))
+    else:
+        console.print(Text(f"{title}: ") + text)
 
 
 def unit(channel: str) -> str:

@@ -214,7 +214,8 @@ def _show(out: "Comparison") -> None:
         seconds = f"{out.seconds[name]:.1f}"
         style = "bold" if name == out.best else ""
         table.add_row(name, *errors, late, missed, wall, seconds, style=style)
-    console = Console(width=None if sys.stdout.isatty() else 130)
+    piped = not sys.stdout.isatty()
+    console = Console(width=130 if piped else None, soft_wrap=piped)
     console.print(table)
     for note in out.notes:
         console.print(f"note: {note}", markup=False)
