@@ -130,10 +130,9 @@ class ToolStore:
             todo = "restore it, or roll back"
             raise UsageError("is damaged: not a text in UTF-8", where=str(path), todo=todo) from None
         except OSError:
-            numbers = ", ".join(map(str, self._numbers(name))) or "none"
-            raise UsageError(
-                f"tool {name!r} has no generation {number}", where=str(path), todo=f"there are: {numbers}"
-            ) from None
+            numbers = ", ".join(map(str, self._numbers(name)))
+            todo = f"there are: {numbers}" if numbers else "it was never calibrated"
+            raise UsageError(f"tool {name!r} has no generation {number}", where=str(path), todo=todo) from None
         tool, whole = parse_sealed(text, str(path))
         if tool.name != name:
             raise UsageError(f"is the file of {tool.name!r}", where=str(path), todo=f"galen-hw tool rollback {name}")

@@ -52,16 +52,17 @@ def main(argv: list[str] | None = None) -> int:
     """
     argv = sys.argv[1:] if argv is None else argv
     command = _named(argv)
+    said = f"galen-hw {command}" if command in COMMANDS else "galen-hw"
     try:
         return _run(argv)
     except GalenError as error:
         if os.environ.get("GALEN_HW_TRACEBACK"):
             raise
-        print(f"galen-hw {command}: {error}", file=sys.stderr)
+        print(f"{said}: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
         with suppress(KeyboardInterrupt):  # Who presses twice needs no traceback either.
-            print(f"galen-hw {command}: interrupted", file=sys.stderr)
+            print(f"{said}: interrupted", file=sys.stderr)
         return 130
     except (BrokenPipeError, SystemExit) as error:
         if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
@@ -73,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("GALEN_HW_TRACEBACK"):
             raise
-        print(f"galen-hw {command}: {_internal(error)}", file=sys.stderr)
+        print(f"{said}: {_internal(error)}", file=sys.stderr)
         return EXIT_INTERNAL
 
 
@@ -157,7 +158,9 @@ def _parser(argv: list[str]) -> tuple[argparse.ArgumentParser, str | None]:
         prog="galen-hw", description="Hardware interface of the Galen surgical robot.", formatter_class=_OneColumn
     )
     parser.add_argument("--version", action="version", version=f"galen-hw {VERSION}")
-    parser.add_argument("--completion", metavar="SHELL", help="print the completion of bash, zsh, fish or tcsh")
+    parser.add_argument(
+        "--completion", metavar="SHELL", help="print the completion of bash, zsh, fish, tcsh or powershell"
+    )
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     named = _named(argv)
     for name, (module, text) in COMMANDS.items():
@@ -192,7 +195,7 @@ class _Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse what is no choice; the nearest one is named instead of all of them."""
         if action.choices is not None and value not in action.choices and (near := _meant(str(value), action.choices)):
-            raise argparse.ArgumentError(action, f"{value!r} is none{near}")
+            raise argparse.ArgumentError(action, f"there is no {value!r}{near}")
         super()._check_value(action, value)
 
 

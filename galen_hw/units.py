@@ -2,6 +2,7 @@
 
 import math
 import re
+from argparse import ArgumentTypeError
 from collections.abc import Callable
 from typing import Final
 
@@ -72,16 +73,17 @@ def number_in(unit: str) -> Callable[[str], float]:
     """Return what reads an option in an SI unit: a bare number is in it, and another unit of the same kind may follow.
 
     Raises:
-        ValueError: (when it reads) no number, or a unit of another kind; the text says which are right.
+        ArgumentTypeError: (when it reads) no number, or a unit of another kind; the text says which are right.
     """
 
     def read(text: str) -> float:
         found = quantity(text)
-        if found is None:
+        if found is not None and found[1] == unit:
+            return found[0]
+        try:
             return float(text)
-        if found[1] != unit:
-            raise ValueError(f"{text!r} is not in {unit}")
-        return found[0]
+        except ValueError:
+            known = ", ".join(name for name, (si, _) in SI.items() if si == unit)
+            raise ArgumentTypeError(f"{text!r} is no number in {unit}, nor one with its unit ({known})") from None
 
-    read.__name__ = f"number in {unit}"  # argparse names it where it fails
     return read

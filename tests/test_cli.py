@@ -229,6 +229,42 @@ def test_an_option_takes_its_own_kind_of_unit(capsys: pytest.CaptureFixture[str]
     """Seconds in minutes, and no newtons for seconds."""
     parser, _ = _parser(["record"])
     assert parser.parse_args(["record", "--seconds", "2min"]).seconds == 120.0
-    with pytest.raises(SystemExit):
-        parser.parse_args(["record", "--seconds", "2N"])
-    assert "invalid number in s value: '2N'" in capsys.readouterr().err
+    for text in ("2N", "abc"):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["record", "--seconds", text])
+        said = capsys.readouterr().err
+        assert f"--seconds: {text!r} is no number in s, nor one with its unit (s, ms, min)" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--completion", "ksh"], "galen-hw: no completion for 'ksh'; one of: bash, "),
+        (["calibrat"], "galen-hw: argument COMMAND: there is no 'calibrat'; did you mean calibrate?; "),
+        (["keys", "frob"], "galen-hw keys: argument {add,list,remove}: invalid choice: 'frob'"),
+        (["virtual", "--settings", "{"], "galen-hw virtual: --settings: not JSON (Expecting property name"),
+        (
+            ["tool", "rollback", "pointer", "--generation", "1"],
+            "tool 'pointer' has no generation 1; it was never calibrated",
+        ),
+        (["deflection", "show", "arm"], "no deflection model 'arm'; galen-hw deflection fit DATA... makes one"),
+    ],
+)
+def test_what_is_wrong_is_said_once_and_in_words(
+    words: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Named as the help names it; a clause is not repeated within itself."""
+    monkeypatch.setenv("GALEN_HW_STATE", str(tmp_path))
+    with contextlib.suppress(SystemExit):
+        assert main(words) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert line in said
+    assert said.count("not JSON") <= 1
+
+
+def test_the_dashboard_without_its_libraries_is_named_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("galen_hw.tools.dashboard.command.NEEDED", ("no_such_module",))
+    assert main(["dashboard"]) == 2
+    assert capsys.readouterr().err.startswith("galen-hw dashboard: needs no_such_module; pip install")

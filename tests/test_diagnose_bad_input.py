@@ -15,6 +15,7 @@ from galen_hw.diagnosis.preprocessing.checks import screened
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.signals.differentiation import derivatives
 from galen_hw.premises import examined
+from galen_hw.tools.check_recording import _lines
 from tests import physics_scenes
 from tests.diagnosis_cases import Bench
 
@@ -432,3 +433,11 @@ def test_check_and_import_say_how_far_they_are(tmp_path, capsys):
     assert capsys.readouterr().err == "examining out.mcap\n"
     assert main(["check", str(tmp_path / "none")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_check_says_once_what_was_repaired():
+    """The action stands in front of the line."""
+    answer = {"recording": "run", "rows": 2, "predict": "pose", "premises": [{"action": "repaired"}]}
+    assert _lines(answer | {"lines": ["2 cells: taken as not measured; repaired"]})[1:] == [
+        "  repaired  2 cells: taken as not measured"
+    ]

@@ -137,3 +137,15 @@ def test_an_alarm_of_the_health_service_is_shown_with_what_to_do() -> None:
         header = {"timestamp": 0.0, "t_ns": round(now * 1e9), "seq": 0, "valid": True, "source": "health"}
         view.take("health", Health(**header, state="warning", alarms=[alarm]), now)
         assert ("the wrench drifts" in text_of(view)) == shown
+
+
+def test_a_tip_at_zero_has_no_sign() -> None:
+    """Rounded, -0.002 mm had been shown as -0.00."""
+    view, now = heard(0.0), time.monotonic()
+    place, head = Vector3(-2e-6, 0.0, 0.1), {"timestamp": 0.0, "t_ns": int(1e9 * now), "seq": 2, "valid": True}
+    pose = Pose(**head, source="arm", position=place, orientation=Quaternion())
+    for topic in ("pose/reported", "pose/corrected"):
+        view.take(topic, pose, now)
+    shown = text_of(view)
+    assert "100.00" in shown
+    assert "-0.00" not in shown

@@ -142,7 +142,7 @@ def test_lost_messages_are_named_and_not_taken_for_differences(tmp_path: Path) -
     everything = recorded(record(tmp_path / "run.mcap", iter(stream)))
     verdict = verify(everything, service_for(everything, ROBOT, tmp_path / "none"))
     assert verdict.difference is None
-    assert verdict.skipped["its raw wrench was not recorded"] == 2
+    assert verdict.skipped["their raw wrench was not recorded"] == 2
     assert 20 <= verdict.skipped["its joint state was not recorded"] <= 30
 
 

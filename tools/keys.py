@@ -6,11 +6,12 @@ from pathlib import Path
 from galen_hw.errors import EXIT_OK
 
 FOLDER = Path("/etc/galen-hw/keys")
+WHAT = ("add", "list", "remove")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("what", choices=("add", "list", "remove"), help="add NAME, list, or remove NAME")
+    parser.add_argument("what", choices=WHAT, metavar=f"{{{','.join(WHAT)}}}", help="add NAME, list, or remove NAME")
     parser.add_argument("name", nargs="?", default="", help="of the viewer: small letters, digits, - and _")
     parser.add_argument(
         "--keys", type=Path, default=FOLDER, metavar="DIR", help=f"the daemon's folder (default: {FOLDER})"

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from galen_hw.documents import load_json
+from galen_hw.documents import DocumentError, load_json
 from galen_hw.errors import UsageError
 
 
@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
 def _settings(text: str) -> dict[str, dict[str, Any]]:
     try:
         out = load_json(text)
-    except ValueError as error:
-        raise UsageError(f"not JSON ({error})", where="--settings", todo="check the quotes") from error
+    except DocumentError as error:
+        raise UsageError(error.what, where="--settings", todo="check the quotes") from error
     if not isinstance(out, dict) or not all(isinstance(v, dict) for v in out.values()):
         raise UsageError("not an object of objects", where="--settings", todo='as in {"ati_netcanoem": {"base_id": 1}}')
     return out

@@ -128,7 +128,7 @@ def verify(recorded: Recorded, service: CompensationService) -> Verdict:
         if missing := feeder.missing:
             verdict.skip("they are missing from the recording", missing)
         if raw is None or why:
-            verdict.skip("its raw wrench was not recorded" if raw is None else why)
+            verdict.skip("their raw wrench was not recorded" if raw is None else why)
             feeder.leave_out(message)
             continue
         outputs = service.compensate(raw)

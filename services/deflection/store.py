@@ -172,8 +172,9 @@ class DeflectionStore:
         try:
             file = parse_deflection(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
-            known = ", ".join(self.names()) or "none"
-            raise UsageError(f"no deflection model {name!r}", where=str(path), todo=f"there are: {known}") from None
+            known = ", ".join(self.names())
+            todo = f"there are: {known}" if known else "galen-hw deflection fit DATA... makes one"
+            raise UsageError(f"no deflection model {name!r}", where=str(path), todo=todo) from None
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"cannot be read ({error})", where=str(path), todo=AGAIN) from None
         except DocumentError as error:

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
-        raise UsageError(f"needs {', '.join(missing)}", where="dashboard", todo="pip install 'galen-hw[dashboard]'")
+        raise UsageError(f"needs {', '.join(missing)}", todo="pip install 'galen-hw[dashboard]'")
     from galen_hw.config.paths import Addresses, client_runtime_dir
     from galen_hw.daemon.session import own_daemon
 

@@ -140,11 +140,11 @@ def _pose(view: View, now: float) -> Panel | None:
     if reported is None:
         return None
     table = _table("tip, mm", "x", "y", "z", "", numbers=(1, 2, 3))
-    table.add_row("reported", *(f"{1e3 * v:.2f}" for v in _xyz(reported)), reported.tool or "no tool")
+    table.add_row("reported", *(f"{1e3 * v:z.2f}" for v in _xyz(reported)), reported.tool or "no tool")
     if corrected is not None:
-        table.add_row("corrected", *(f"{1e3 * v:.2f}" for v in _xyz(corrected)), corrected.model)
+        table.add_row("corrected", *(f"{1e3 * v:z.2f}" for v in _xyz(corrected)), corrected.model)
         gap = [1e3 * (c - r) for c, r in zip(_xyz(corrected), _xyz(reported), strict=True)]
-        table.add_row("[bold]give[/]", *(f"[bold]{v:.3f}[/]" for v in gap), f"{math.hypot(*gap):.3f} mm in all")
+        table.add_row("[bold]give[/]", *(f"[bold]{v:z.3f}[/]" for v in gap), f"{math.hypot(*gap):.3f} mm in all")
     title = _title(view, "tip in the base", "pose/reported", now)
     return _panel(title, table, "red" if view.is_old("pose/reported", now) else "grey50")
 
