@@ -1,5 +1,6 @@
 """`galen-hw calibrate --from` and `galen-hw tool`, as an operator meets them."""
 
+import io
 import json
 import re
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -15,13 +17,14 @@ from calibration_sim import BIAS, body, sweep
 
 from galen_hw.cli import main
 from galen_hw.identification.report import two_step
+from galen_hw.messages import CalibrationProgress
 from galen_hw.recording import Recording, RecordingInfo, write_table
 from galen_hw.recording.recording import SENSOR_ORIENTATION, WRENCH
 from galen_hw.recording.session import Session
 from galen_hw.services.calibration.settings import AxisSettings, CalibrationSettings
 from galen_hw.spatial import quaternion_from_rotation
 from galen_hw.tools.calibration.command import _can_be_fitted
-from galen_hw.tools.calibration.sweep import patience
+from galen_hw.tools.calibration.sweep import Display, patience
 
 SETTINGS = CalibrationSettings(
     axes={"tilt": AxisSettings(low=-0.6, high=0.6, count=4), "roll": AxisSettings(low=-0.9, high=0.9, count=5)},
@@ -349,3 +352,13 @@ def test_a_simulated_robot_on_a_busy_machine_is_slow_and_not_silent():
     """Progress comes by the robot's own time; beside a real one two seconds without it are the end."""
     assert patience({"speed": 1.0}) == patience({}) == 2.0
     assert patience({"speed": 10.0}) == 20.0
+
+
+def test_the_time_left_is_the_clocks_and_not_the_robots():
+    """At ten times the speed two minutes of the robot are twelve seconds."""
+    out = io.StringIO()
+    head = {"timestamp": 0.0, "t_ns": 0, "seq": 0, "valid": True, "source": "calibration"}
+    message = CalibrationProgress(**head, state="moving", pose=1, poses=62, remaining_s=120.0)
+    for speed in (1.0, 10.0):
+        Display(Console(file=out, width=80), 62, speed).update(message)
+    assert [line.split()[-2] for line in out.getvalue().splitlines()] == ["2:00", "0:12"]

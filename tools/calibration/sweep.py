@@ -147,8 +147,9 @@ def _follow(
     subscriber: Subscriber, client: CommandClient, operator: Operator, console: Console, started: dict[str, Any]
 ) -> str:
     """Show progress until the end; why it stopped early, or empty."""
-    patience_s = patience(client.call("daemon", "info"))
-    with Display(console, int(started["poses"])) as display:
+    info = client.call("daemon", "info")
+    patience_s = patience(info)
+    with Display(console, int(started["poses"]), float(info.get("speed", 1.0))) as display:
         heard, resumed = time.monotonic(), False
         while True:
             received = subscriber.receive(0.2)
@@ -172,10 +173,14 @@ def _follow(
 
 
 class Display:
-    """A bar on a terminal, a line every ten poses elsewhere."""
+    """A bar on a terminal, a line every ten poses elsewhere.
 
-    def __init__(self, console: Console, poses: int) -> None:
-        self._console, self._poses, self._shown = console, poses, -10
+    Args:
+        console: where; poses: how many there are; speed: of the robot's time, in which the time left is told.
+    """
+
+    def __init__(self, console: Console, poses: int, speed: float = 1.0) -> None:
+        self._console, self._poses, self._speed, self._shown = console, poses, speed, -10
         columns = (
             SpinnerColumn(),
             TextColumn("[bold]{task.fields[state]:<9}[/]"),
@@ -209,7 +214,7 @@ class Display:
         """Show where the sweep stands."""
         ended = message.state in ("done", "stopped")
         done = message.pose if message.state == "done" else max(message.pose - 1, 0)
-        left = "" if ended else f"{_clock(message.remaining_s)} left"
+        left = "" if ended else f"{_clock(message.remaining_s / self._speed)} left"
         detail = "" if ended else message.detail
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, state=message.state, left=left, detail=detail)
