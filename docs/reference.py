@@ -16,7 +16,7 @@ Written from the program's own parsers (`python docs/reference.py docs/commands.
 the option is a length of time or a force (`--seconds 2min`, `--max-force 12N`), and in `galen-hw command` (`17deg`, `5mm`).
 
 Exit status: {STATUS}
-Completion: `galen-hw --completion bash` (zsh, fish, tcsh) prints it; it needs `pip install 'galen-hw[completion]'`.
+Completion: `galen-hw --completion bash` (zsh, fish, tcsh, powershell) prints it; it needs `pip install 'galen-hw[completion]'`.
 The same as a manual page: `man galen-hw`, where pip has put it (`share/man/man1` of the environment).
 """
 
