@@ -112,3 +112,19 @@ def test_a_recording_without_a_clock_is_no_bag(tmp_path: Path, capsys: pytest.Ca
     assert sorted(p.name for p in tmp_path.iterdir()) == ["table"]
     assert main(["export", str(tmp_path / "table"), str(tmp_path / "out.mat"), "--format", "mat"]) == 0
     assert main(["export", str(tmp_path / "table"), str(tmp_path / "out.mat"), "--format", "mat"]) == 2
+
+
+def test_the_galen_is_named_as_a_robot_without_a_file(tmp_path: Path) -> None:
+    """Of a file that says nothing of its robot; a map keeps the name."""
+    _, q, _, _ = motion()
+    names = ("carriage1", "carriage2", "carriage3", "roll", "tilt")
+    columns = {"time": table()["time"]} | {f"joint.{n}.position": q[:, 0] for n in names}
+    write_table(Recording(columns), tmp_path / "table")
+    (tmp_path / "other").mkdir()
+    file = (tmp_path / "table" / "recording.csv").rename(tmp_path / "other" / "log.csv")
+    words = ["import", str(file), "--robot", "galen"]
+    assert main([*words, "-o", str(tmp_path / "run"), "--write-map", str(tmp_path / "map.toml")]) == 0
+    assert read(tmp_path / "run").info.robot == "galen"
+    assert '"robot" = "galen"' in (tmp_path / "map.toml").read_text()
+    assert main(["import", str(file), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "again")]) == 0
+    assert read(tmp_path / "again").info.robot == "galen"

@@ -87,7 +87,7 @@ def _write_map(used: "Map", args: argparse.Namespace) -> None:
 
     if args.write_map.exists() and not args.overwrite:
         raise UsageError("is there already", where=str(args.write_map), todo="give another name, or --overwrite")
-    if args.robot is not None:
+    if args.robot is not None and args.robot.is_file():
         # A xacro is expanded only where it is named, each time.
         plain = used.info.get("robot") == args.robot.name
         used.info["robot"] = str(args.robot.resolve()) if plain else None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Options that name a robot."""
-    text = "URDF or xacro of the robot, in place of what the recording names (xacro: extra xacro)"
+    text = "URDF or xacro of the robot, or galen, in place of what the recording names (xacro: extra xacro)"
     parser.add_argument("--robot", metavar="FILE", type=Path, help=text)
     parser.add_argument(
         "--xacro-arg", metavar="KEY:=VALUE", action="append", default=[], help="of --robot; may be given several times"

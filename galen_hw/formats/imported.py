@@ -131,7 +131,8 @@ def import_files(
     texts = {name: text for one in contents for name, text in one.texts.items()}
     what.info = _within(texts, paths[0]) | _beside(paths[0]) | what.info | (info or {})
     if robot is not None:
-        what.info["robot"], texts[robot.name] = robot.name, robot.text
+        what.info["robot"] = robot.name
+        texts |= {robot.name: robot.text} if robot.text else {}
     notes = [line for one in contents for line in (*one.how, *one.notes)]
     notes += attach_robot(what, texts, paths[0], [e.target for e in what.entries])
     urdf = texts.get(str(what.info.get("robot")))

@@ -29,7 +29,7 @@ LIMIT_S: Final = 60.0
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot's URDF: the name that a recording gives it, and its text."""
+    """A robot: the name that a recording gives it, and the text of its URDF; empty for the Galen, which has none."""
 
     name: str
     text: str
@@ -39,7 +39,7 @@ def robot_file(path: Path, arguments: Sequence[str] = ()) -> RobotFile:
     """Read a URDF, or expand a xacro file.
 
     Args:
-        path: the file; a xacro by its name (.xacro) or by what is in it.
+        path: the file, a xacro by its name (.xacro) or by what is in it; or `galen`, where no such file is.
         arguments: KEY:=VALUE for its <xacro:arg>.
 
     Raises:
@@ -47,6 +47,8 @@ def robot_file(path: Path, arguments: Sequence[str] = ()) -> RobotFile:
         MissingExtraError: xacrodoc is not installed.
     """
     where = str(path)
+    if where == "galen" and not arguments and not path.exists():
+        return RobotFile("galen", "")
     todo = "give a URDF or a xacro file"
     try:
         text = path.read_bytes().decode("utf-8-sig", errors="replace")
