@@ -52,7 +52,7 @@ def test_a_search_that_is_stopped_between_judges_what_it_has(monkeypatch: pytest
         assert found.fit["rmse_after"][name] <= found.fit["rmse_before"][name]
 
 
-@pytest.mark.parametrize(("given", "told"), [("-3", "not a time"), ("soon", "invalid number in s")])
+@pytest.mark.parametrize(("given", "told"), [("-3", "not a time"), ("soon", "is no number in s")])
 def test_a_time_limit_that_is_none_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], given: str, told: str
 ) -> None:

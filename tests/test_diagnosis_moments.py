@@ -134,7 +134,9 @@ def test_a_short_touch_under_slow_noise_is_told() -> None:
 def test_a_hum_that_takes_nothing_of_its_own_recording_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is there all through it, and what it takes there is what speaks for it; a touch beside it stays."""
     case = Bench(7, rows=4000)
-    bench = diagnose(scene_of(case.observations())).bench
+    case.wrench[:, 0] += SIGMA[0] * (3.0 * np.sin(2 * np.pi * 3.7 * case.t) + 4.0 * ((case.t > 30.0) & (case.t < 34.0)))
+    bench = DiagnosisBench(scene_of(case.observations()), 0.3, 0)
+    bench.learn_noise([bench.raw(Vibration(WRENCH[:1], 3.7)), bench.raw(Contact(WRENCH[:1], ((30.0, 34.0),)))])
     nuisances = [bench.hypothesis_of(None, columns) for columns in bench.constants()]
     hum, touch = bench.hypothesis(Vibration(WRENCH[:1], 3.7)), bench.hypothesis(Contact(WRENCH[:1], ((30.0, 34.0),)))
     model = Model(bench, nuisances, [hum, touch], bench.whitened(bench.whole))

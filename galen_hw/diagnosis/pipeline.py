@@ -22,7 +22,7 @@ from galen_hw.diagnosis.validation.flexible_effects import (
     remaining_structures,
     structures_of_holdout,
 )
-from galen_hw.diagnosis.validation.verdict import strong, verdict_of
+from galen_hw.diagnosis.validation.verdict import strong, telling, verdict_of
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.registry import scene_of
@@ -100,6 +100,9 @@ def diagnose(
     if model is not chosen:
         structures = remaining_structures([model], generic)[0]
     structures = strong(structures, judged, bench)
+    if not telling(structures):
+        # The noise's own spectrum may be off by as much: only what trees foretell too is structure.
+        structures = structures and trees.hidden(model)
     glitch = [] if screening.wrong else outliers.confirmed(glitch, model)
     if (structures or has_flexible_effects(model)) and not screening.wrong:
         model, judged, structures = predict_unnamed(generic, model, holdout, judged, structures)

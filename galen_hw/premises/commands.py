@@ -1,4 +1,4 @@
-"""Commands that are no positions: those of a robot that was driven by velocities."""
+"""Commands that are no positions, and positions that are but commands."""
 
 from collections.abc import Iterator
 from typing import ClassVar, Final
@@ -56,3 +56,44 @@ def _is_rate(seen: Observations, q: Array, command: Array) -> bool:
             if as_rate > CRITERIA.one_signal and as_it_is < CRITERIA.half * as_rate:
                 return True
     return False
+
+
+class CopiedCommands:
+    """Tests whether joints that drive the simulation stand where they were told to, to the last digit: nothing was measured."""
+
+    KEY: ClassVar[str] = "copied_commands"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a note where all joints that move do, and of what is compared a refusal of two commands that are the same."""
+        names = joint_columns(seen, "command")
+        pairs = [(n.replace(".command", ".position"), n) for n in names]
+        if seen.predict != "position":
+            moving = [
+                (q, c)
+                for q, c in pairs
+                if q in seen.columns and np.nanmax(seen.columns[c]) > np.nanmin(seen.columns[c])
+            ]
+            if moving and all(np.array_equal(seen.columns[q], seen.columns[c], equal_nan=True) for q, c in moving):
+                what = "joints stand where they were told to, to the last digit: their positions are commands, and not measured"
+                yield Remark(self.KEY, what, "", tuple(q for q, _ in moving))
+            return
+        for k, name in enumerate(names):
+            told = seen.columns[name]
+            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], told, equal_nan=True)), None)
+            if first is None or np.nanmax(told) - np.nanmin(told) < LEAST_MOTION:
+                continue
+            alike = [_follows(seen.columns.get(n.replace(".command", ".position")), told) for n in (first, name)]
+            if min(alike) < CRITERIA.half < CRITERIA.one_signal < max(alike):
+                what = f"{name} is the same as {first} in every row, and one of the joints does not follow it"
+                yield Remark(
+                    self.KEY, what, "export it again: one of the two was written twice", (first, name), Action.REFUSED
+                )
+
+
+def _follows(q: Array | None, command: Array) -> float:
+    """Return the correlation of a position (N,) with a command (N,); 1 where there is none."""
+    both = np.isfinite(command) if q is None else np.isfinite(q) & np.isfinite(command)
+    if q is None or both.sum() < CRITERIA.fewest_vectors or np.ptp(q[both]) == 0.0:
+        return 1.0
+    return float(np.corrcoef(q[both], command[both])[0, 1])

@@ -6,6 +6,7 @@ from itertools import combinations, pairwise, product
 from typing import ClassVar, Final
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.registry import scene_of
@@ -31,10 +32,12 @@ OWN: Mapping[str, tuple[str, ...]] = {
 SIGN: Final = "the opposite sign of the model's"
 SWAPPED: Final = "swapped"
 SHIFTED: Final = "shifted by a column, so that each joint has its neighbour's"
+ORDERED: Final = "in another order, as of names that were sorted"
 COUPLED: Final = "those of two motors that drive both joints, as in a differential"
 REFUSED: Final = {
     SWAPPED: ("the two exchanged", "give each joint its own column"),
     SHIFTED: ("each read from the next column", "begin the list of joints where that of the columns begins"),
+    ORDERED: ("each read as the joint's that it follows", "give each joint its own column"),
     COUPLED: ("their sum and difference", "give the efforts of the joints themselves"),
 }
 """What is refused: as what it was read instead, and what to do."""
@@ -107,7 +110,7 @@ class JointReading:
         plain = _unexplained(some, rates)
         found = {
             one: left
-            for one in _tries(some)
+            for one in _tries(some, rates)
             if (left := _unexplained(one.read(some), one.moved(some, rates))) is not None
         }
         good = _best(plain, found) if plain is not None else []
@@ -140,7 +143,7 @@ def better(one: Observations, other: Observations) -> bool:
     return bool(told.any() and np.mean(first[told]) < CRITERIA.gross_gain * np.mean(second[told]))
 
 
-def _tries(some: Observations) -> Iterator[_Try]:
+def _tries(some: Observations, rates: Rates) -> Iterator[_Try]:
     """Yield other readings: joints turned round, exchanged or from another zero, of what is compared and of what drives it."""
     kinds = [some.predict] if some.predict in OWN else []
     if some.belief.robot is not None and some.simulation is None and some.predict != "position":
@@ -161,6 +164,8 @@ def _tries(some: Observations) -> Iterator[_Try]:
             yield from _shifted(kind, joints)
         if kind == "effort":
             yield from _coupled(joints)
+        if kind == some.predict:
+            yield from _ordered(some, rates, kind)
     if len(kinds) == 2 and kinds[0] == "effort":
         # A message that names its joints in another order takes all of their columns with it.
         yield from (_Try("every", pair, ((0.0, 1.0), (1.0, 0.0)), says=SWAPPED) for pair in combinations(joints, 2))
@@ -205,6 +210,35 @@ def _shifted(kind: str, joints: Sequence[str]) -> Iterator[_Try]:
         yield _Try(kind, tuple(joints), tuple(map(tuple, mix.tolist())), says=SHIFTED)
 
 
+def _ordered(some: Observations, rates: Rates, kind: str) -> Iterator[_Try]:
+    """Yield the order in which each column stands for the joint whose simulation it follows, all together (an assignment).
+
+    Of two that are exchanged, or all that are shifted by one, there are shorter words.
+    """
+    scene = scene_of(some, rates=rates)
+    y, x = scene.measured, scene.simulated
+    if len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
+        return
+    count = len(scene.channels)
+    left = np.empty((count, count))
+    for joint, name in enumerate(scene.channels):
+        free = _free(scene, name)
+        rest, own = _residual(free, y), _residual(free, x[:, joint])
+        part = np.sum((rest - own[:, None]) ** 2, axis=0) / np.maximum(np.sum(rest**2, axis=0), 1e-300)
+        left[joint] = np.minimum(part, 1.0)
+    # What nothing explains stays where it is.
+    column = linear_sum_assignment(
+        np.where(left < CRITERIA.half, left, 1.0) + CRITERIA.small_turn * (1.0 - np.eye(count))
+    )[1]
+    moved = [k for k in range(count) if column[k] != k]
+    by_one = len(moved) == count and any(np.array_equal(column, np.roll(np.arange(count), way)) for way in (1, -1))
+    if len(moved) > 2 and not by_one:
+        mix = np.array([[float(column[a] == b) for b in moved] for a in moved])
+        yield _Try(
+            kind, tuple(joint_of(scene.channels[k]) for k in moved), tuple(map(tuple, mix.tolist())), says=ORDERED
+        )
+
+
 def _coupled(joints: Sequence[str]) -> Iterator[_Try]:
     """Yield efforts of two motors that drive neighbouring joints together, through a differential: each way round."""
     for pair in pairwise(joints):
@@ -241,6 +275,7 @@ def _best(plain: Array, found: Mapping[_Try, Array]) -> list[_Try]:
         return []
     # Simplest first: of two that are as good, one joint less is turned round, or counted from another zero.
     good = [one for one in good if len(one.joints) == 1 or (one.says and not one.zeros)] or good
+    good = [one for one in good if one.says != ORDERED] or good
     return good if len({(one.joints, one.says) for one in good}) == 1 else []
 
 

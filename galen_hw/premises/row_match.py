@@ -72,6 +72,13 @@ class RowMatch:
             if _fits(left, float(np.mean(plain[group]))):
                 yield self._remark(tuple(compared_names(seen)), order, "what is compared")
                 return
+        if not moving and some[0].time is None and (share := _of_the_last(y[:, group], x[:, group])) > 0.0:
+            what = (
+                f"each row holds {share:.0%} of the pose before: it was averaged from before the arm had come to rest"
+            )
+            todo = "average each pose from when the arm rests"
+            yield Remark(self.KEY, what, todo, tuple(compared_names(seen)), Action.REFUSED)
+            return
         if found := list(self._in_memory(seen, scene.channels[:count], plain)):
             yield from found
             return
@@ -157,6 +164,19 @@ def _sorted(y: Array, x: Array) -> Iterator[_Order]:
         says = f"was sorted by itself, the {'smallest' if up else 'largest'} first"
         own = np.argsort(x, kind="stable")
         yield _Order(says, "sort all columns together, or none", np.arange(len(y)), own if up else own[::-1])
+
+
+def _of_the_last(y: Array, x: Array) -> float:
+    """Return the share of the pose before that signals (N, C) hold, where poses (N, C) in any order show it; else 0.
+
+    One share of all channels, beside a constant of each, by least squares: it must leave a quarter at most of what no share does.
+    """
+    own, step = (v - v.mean(axis=0) for v in ((y - x)[1:], (x[:-1] - x[1:])))
+    size = np.maximum(np.sum(step**2, axis=0), 1e-300)
+    share = float(np.sum(np.sum(own * step, axis=0) / size) / len(size))
+    left = np.sum((own - share * step) ** 2, axis=0) / np.maximum(np.sum(own**2, axis=0), 1e-300)
+    sure = 0.0 < share < 1.0 and float(np.mean(left)) < CRITERIA.gross_gain
+    return share if sure else 0.0
 
 
 def _fits(left: float, plain: float) -> bool:

@@ -42,6 +42,27 @@ class Standardised:
             yield Remark(self.KEY, what, "give them in SI units, before they were scaled", tuple(names), Action.REFUSED)
 
 
+class RunMeans:
+    """Tests whether every channel of a load has mean 0 in each of several runs: each was tared by its own mean."""
+
+    KEY: ClassVar[str] = "run_means"
+    STAGE: ClassVar[Stage] = Stage.UNITS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield a refusal: offsets of their own in each run are nobody's physics."""
+        names, runs = compared_names(seen), seen.segments
+        if len(runs) < 2 or seen.predict not in ("wrench", "effort") or len(names) < 2:
+            return
+        y = seen.matrix(*names)
+        if min(run.stop - run.start for run in runs) < CRITERIA.pieces or not np.isfinite(y).all():
+            return
+        size = np.std(y, axis=0)
+        means = np.array([np.mean(y[run], axis=0) for run in runs])
+        if np.all(size > 0.0) and np.all(np.abs(means) < PRINTED * size):
+            what = f"every channel has mean 0 in each of {len(runs)} segments: each was tared by its own mean"
+            yield Remark(self.KEY, what, "give the readings before that, with one zero", tuple(names), Action.REFUSED)
+
+
 def _fill(columns: list[Array], low: float) -> bool:
     """Return whether every column just fills the range from `low` to 1."""
     return all(abs(float(np.min(c)) - low) < PRINTED and abs(float(np.max(c)) - 1.0) < PRINTED for c in columns)

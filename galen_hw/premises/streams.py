@@ -20,6 +20,8 @@ ROWS: Final = 4000
 """On which a stream is looked at: of five minutes, thirteen a second."""
 ORDERS: Final = (1, 2)
 """Of the filters that people run forth and back: 1 / (1 + (f / cut-off)^2), which means over a window are nearly too, and ^4."""
+JUMP_S: Final = 0.1
+"""To which the moment of a jump is told."""
 QUICKEST: Final = 0.05
 """Of the rate of the rows: quicker, a motion that is differentiated may lack as much."""
 
@@ -63,13 +65,13 @@ class _Streams:
 
 
 class ApartClocks:
-    """Tests whether what is compared is late by a time that grows: stamped by a clock that runs apart, or joined by rows."""
+    """Tests whether what is compared is late by a time that grows, or that jumps: clocks that run apart, or one that was set."""
 
     KEY: ClassVar[str] = "apart_clocks"
     STAGE: ClassVar[Stage] = Stage.FRAMES
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield a refusal where a delay that grows in proportion to time leaves far less than any constant one."""
+        """Yield a refusal where a delay that grows in proportion to time, or jumps once, leaves far less than a constant one."""
         streams = _streams(seen)
         if streams is None:
             return
@@ -77,6 +79,7 @@ class ApartClocks:
         constant = streams.late(level)[1]
         delay, growing = streams.late(np.column_stack([level, np.linspace(-1.0, 1.0, len(level))]))
         if not _far_better(growing, constant):
+            yield from self._jump(seen, streams, constant)
             return
         first, last, span = float(delay[0]), float(delay[-1]), float(np.ptp(streams.time))
         what = (
@@ -86,6 +89,34 @@ class ApartClocks:
         todo = (
             "stamp both by one clock, or stretch the stamps of one before they are joined (or were rows of one lost?)"
         )
+        yield Remark(self.KEY, what, todo, tuple(compared_names(seen)), Action.REFUSED)
+
+    def _jump(self, seen: Observations, streams: _Streams, constant: Array) -> Iterator[Remark]:
+        """Yield a refusal where two delays, one before some moment and one from it on, leave far less than one."""
+        time, span = streams.time, float(np.ptp(streams.time))
+        best: tuple[float, float, Array, Array] | None = None
+        width = 1.0 / CRITERIA.pieces
+        moments = np.arange(1, CRITERIA.pieces) * width * span
+        while width * span > JUMP_S and len(moments):
+            for at in moments:
+                delay, left = streams.late(np.column_stack([time < at, time >= at]).astype(float), iterations=3)
+                if best is None or float(np.mean(left)) < best[0]:
+                    best = (float(np.mean(left)), float(at), delay, left)
+            assert best is not None, "there are moments"
+            if best[0] > CRITERIA.half * float(np.mean(constant)):
+                return  # nowhere near
+            width /= 4.0
+            moments = best[1] + width * span * np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+            moments = moments[(moments > 0.0) & (moments < span)]
+        if best is None or not _far_better(best[3], constant):
+            return
+        _, at, delay, _ = best
+        assert seen.time is not None, "asked only with a clock"
+        what = (
+            f"one of two clocks was set: what is compared is late by {1e3 * delay[0]:.3g} ms before "
+            f"{float(seen.time[0]) + at:.4g} s and by {1e3 * delay[-1]:.3g} ms from then on"
+        )
+        todo = "stamp both by one clock, or move the stamps of one before they are joined"
         yield Remark(self.KEY, what, todo, tuple(compared_names(seen)), Action.REFUSED)
 
 

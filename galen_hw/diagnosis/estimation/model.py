@@ -139,6 +139,34 @@ class Model:
                 out = out + (rival.final - self.final) ** 2
         return out
 
+    @property
+    def free_constants(self) -> Array:
+        """Return 1 for channels (C,) with a constant offset in the baseline, which is no part of an effect's size, else 0."""
+        out = np.zeros(self.bench.width)
+        for h in self.nuisances:
+            if len(h.raw.channels) == 1:
+                out[h.raw.channels[0]] = 1.0
+        return out
+
+    def signal_of(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Return mean square and variance of the rms of an effect in each of its channels, to first order in the parameters."""
+        s, free = self.slice_of(h), self.free_constants[list(h.raw.channels)]
+        contribution = h.contribution(self.final[s])
+        centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
+        signal = contribution - free * contribution.mean(axis=0)
+        power = np.maximum(np.mean(signal**2, axis=0), 1e-300)
+        slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * np.sqrt(power)[:, None])
+        return power, np.asarray(np.einsum("ck,kl,cl->c", slope, self.parameter_errors.covariance[s, s], slope))
+
+    def is_sure(self, h: Hypothesis) -> bool:
+        """Return whether an effect is twice its standard error in the channel where it is strongest beside the noise.
+
+        What its parameters leave open to any size, for others do the same, has no size that could be told.
+        """
+        power, variance = self.signal_of(h)
+        strongest = int(np.argmax(power / self.bench.noise.sigma[list(h.raw.channels)] ** 2))
+        return bool(power[strongest] >= 4.0 * variance[strongest])
+
     def with_updated_laws(self) -> "Model":
         """Return the model with bound parameters re-evaluated at the estimates: a small body at its present place."""
         effects = list(self.effects)

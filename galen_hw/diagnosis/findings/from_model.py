@@ -24,7 +24,6 @@ from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import COMES_AND_GOES, FEW_SAMPLES, NOTHING_ELSEWHERE
 from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
-from galen_hw.spatial import Array
 
 
 def findings_of(model: Model, selection: Selection, judged: Judged, glitch: list[Glitches]) -> list[Finding]:
@@ -44,14 +43,12 @@ def _finding(model: Model, selection: Selection, judged: Judged, key: str, parts
     signal = np.zeros((len(bench.rows), bench.width))
     variance = np.zeros(bench.width)
     parameters: dict[str, Value] = {}
-    free = _free(model)
+    free = model.free_constants
     prefixes = _prefixes(parts)
     for n, h in enumerate(parts):
         s = model.slice_of(h)
         signal[:, list(h.raw.channels)] += h.contribution(model.final[s])
-        variance[list(h.raw.channels)] += _rms_variance(
-            h, model.final[s], model.parameter_errors.covariance[s, s], free
-        )
+        variance[list(h.raw.channels)] += model.signal_of(h)[1]
         parameters |= _parameters(model, h, s, prefix=prefixes[n], number=n)
     power = np.mean((signal - free * signal.mean(axis=0)) ** 2, axis=0)
     energy = power / bench.noise.sigma**2
@@ -81,25 +78,6 @@ def says(finding: Finding) -> str:
     what, why = saying(key), believing(key)
     first = f"{what[0].upper()}{what[1:]} ({place}): {headline(finding)}."
     return f"{first} {why[0].upper()}{why[1:]}; on data it did not learn from it {finding.takes}."
-
-
-def _free(model: Model) -> Array:
-    """Return 1 for channels (C,) with a constant offset in the baseline, which is no part of an effect's size, else 0."""
-    out = np.zeros(model.bench.width)
-    for h in model.nuisances:
-        if len(h.raw.channels) == 1:
-            out[h.raw.channels[0]] = 1.0
-    return out
-
-
-def _rms_variance(h: Hypothesis, theta: Array, covariance: Array, free: Array) -> Array:
-    """Return the variance of the rms of a contribution in each of its channels, to first order in the parameters."""
-    free, contribution = free[list(h.raw.channels)], h.contribution(theta)
-    centred = h.raw.values - free[:, None] * h.raw.values.mean(axis=0)
-    signal = contribution - free * contribution.mean(axis=0)
-    size = np.sqrt(np.maximum(np.mean(signal**2, axis=0), 1e-300))
-    slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * size[:, None])
-    return np.asarray(np.einsum("ck,kl,cl->c", slope, covariance, slope))
 
 
 def _prefixes(parts: Sequence[Hypothesis]) -> list[str]:

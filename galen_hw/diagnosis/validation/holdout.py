@@ -225,7 +225,17 @@ def _impossible(model: Model) -> list[Effect]:
 
 
 def _vague(model: Model) -> list[Hypothesis]:
-    """Return effects whose parameters do not prove their names, and those that patch what another one misses."""
+    """Return effects whose parameters do not prove their names or any size, and those that patch what another one misses.
+
+    Of several that have no size one goes at a time: another one may then have its own.
+    """
+    unsure = [h for h in model.effects if not model.is_sure(h)]
+    if unsure:
+        return [
+            max(
+                unsure, key=lambda h: max(variance / power for power, variance in zip(*model.signal_of(h), strict=True))
+            )
+        ]
     effects = [
         (h, h.effect, s)
         for h, s in zip(model.parts, model.slices(), strict=True)

@@ -131,15 +131,18 @@ def _loudest(x: Array, least: float) -> Array:
     return np.asarray(square[-OUTER:].mean(axis=0) / square[:OUTER].mean(axis=0))
 
 
+def telling(structures: list[Structure]) -> list[Structure]:
+    """Return the structures that explain a share of what is left, whitened, that a law would have to explain."""
+    return [one for one in structures if one.share >= CRITERIA.least_share]
+
+
 def strong(structures: list[Structure], judged: Judged, bench: Bench) -> list[Structure]:
-    """Return the structures that are large beside the first error, the noise and the rounding, whitened and as they are."""
+    """Return the structures that are large beside the first error, the noise and the rounding."""
     out, rounding = [], bench.noise.followed_rounding
     for one in structures:
         noise = float(bench.noise.sigma[one.channel] ** 2)
         before = max(float(judged.before[one.channel]) - noise, noise)
-        if one.share >= CRITERIA.least_share and one.size**2 > max(
-            CRITERIA.least_share * before, float(rounding[one.channel])
-        ):
+        if one.size**2 > max(CRITERIA.least_share * before, float(rounding[one.channel])):
             out.append(one)
     return out
 
