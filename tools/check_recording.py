@@ -91,6 +91,7 @@ def _with_model(remarks: Sequence["Remark"], model: list["Remark"]) -> list["Rem
 
 def _lines(answer: dict[str, Any]) -> list[str]:
     head = f"{answer['recording']}: {answer['rows']} rows, {answer['predict']} compared"
-    said = [f"  {p['action']:9} {line.removesuffix('; repaired')}" for p, line in zip(answer["premises"], answer["lines"], strict=True)]
+    each = zip(answer["premises"], answer["lines"], strict=True)
+    said = [f"  {p['action']:9} {line.removesuffix('; repaired')}" for p, line in each]
     right = all(p["action"] == "note" for p in answer["premises"])
     return [head, *said, *(["  ok        nothing that was looked for is wrong with it"] if right else [])]

@@ -18,7 +18,9 @@ def check_file(path: Path, option: str) -> None:
     if path.is_dir():
         raise UsageError("is a folder", where=f"{option} {path}", todo="name a file in it")
     if not path.parent.is_dir():
-        raise UsageError("there is no such folder", where=f"{option} {path}", todo=f"mkdir {shlex.quote(str(path.parent))}")
+        raise UsageError(
+            "there is no such folder", where=f"{option} {path}", todo=f"mkdir {shlex.quote(str(path.parent))}"
+        )
 
 
 def report_page(given: Path) -> Path:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from galen_hw.clock import NS_PER_S
-from galen_hw.errors import CommandRejectedError, GalenError, WrongCommandError
+from galen_hw.errors import GalenError, WrongCommandError
 from galen_hw.identification.deflection.stream import NONE, Place, Six, Triple, turned
 from galen_hw.messages import (
     CompensationState,

@@ -154,7 +154,9 @@ def _live(args: argparse.Namespace, console: "Console", addresses: "Addresses") 
     console.print(f"[bold]calibrating {args.tool}[/]" + (" on a virtual robot" if virtual else ""))
     folder, stopped = run_sweep(addresses, args.tool, overrides(args), operator, console)
     if stopped:
-        todo = f"what was measured can be fitted: galen-hw calibrate --from {shlex.quote(str(folder))} --tool {args.tool}"
+        todo = (
+            f"what was measured can be fitted: galen-hw calibrate --from {shlex.quote(str(folder))} --tool {args.tool}"
+        )
         raise _StoppedError(stopped, where="sweep", todo=todo if _can_be_fitted(args.tool, folder) else "")
     recording = read_recording(folder)
     found = poses_of(recording)

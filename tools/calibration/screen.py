@@ -163,7 +163,9 @@ def show_accepted(console: Console, tool: ToolFile, path: str) -> None:
     assert tool.mass is not None
     assert tool.com is not None
     com = ", ".join(f"{1e3 * x:.2f}" for x in tool.com)
-    text = Text.assemble((f"{tool.calibration_id}", "bold"), f"  mass {1e3 * tool.mass:.2f} g, centre of mass ({com}) mm\n{path}")
+    text = Text.assemble(
+        (f"{tool.calibration_id}", "bold"), f"  mass {1e3 * tool.mass:.2f} g, centre of mass ({com}) mm\n{path}"
+    )
     title = "accepted, for virtual robots" if tool.origin and tool.origin.virtual else "accepted"
     if console.is_terminal:
         console.print(Panel(text, title=title, title_align="left", border_style="green", expand=False))
