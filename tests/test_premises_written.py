@@ -83,7 +83,7 @@ def test_a_clock_that_was_set_in_the_midst_is_refused_with_both_delays(first: fl
     assert float(words[found.what.split("late by ")[1].split().index("from") - 2]) == pytest.approx(1e3 * then, abs=2.0)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.23])
+@pytest.mark.parametrize("share", [0.15, 0.23])
 def test_poses_averaged_from_before_the_arm_rested_are_refused(share: float) -> None:
     columns = static(60)
     wrench = matrix(columns, FORCE + TORQUE)

@@ -29,7 +29,7 @@ class CommandedRates:
         rates, moving = list[str](), 0
         for name in joint_columns(seen, "command"):
             q = seen.columns.get(name.replace(".command", ".position"))
-            if q is None or np.nanmax(q) - np.nanmin(q) < LEAST_MOTION:
+            if q is None or _range(q) < LEAST_MOTION:
                 continue
             moving += 1
             if _is_rate(seen, q, seen.columns[name]):
@@ -43,7 +43,7 @@ class CommandedRates:
 def _is_rate(seen: Observations, q: Array, command: Array) -> bool:
     """Return whether a position (N,) goes as a command (N,) integrated, and is not as the command itself."""
     both = np.isfinite(q) & np.isfinite(command)
-    if both.sum() < CRITERIA.fewest_vectors or np.ptp(command[both]) == 0.0:
+    if both.sum() < CRITERIA.fewest_vectors or np.ptp(command[both]) == 0.0 or np.ptp(q[both]) == 0.0:
         return False
     assert seen.time is not None, "asked only with a clock"
     step = float(np.median(np.diff(seen.time)))
@@ -69,11 +69,7 @@ class CopiedCommands:
         names = joint_columns(seen, "command")
         pairs = [(n.replace(".command", ".position"), n) for n in names]
         if seen.predict != "position":
-            moving = [
-                (q, c)
-                for q, c in pairs
-                if q in seen.columns and np.nanmax(seen.columns[c]) > np.nanmin(seen.columns[c])
-            ]
+            moving = [(q, c) for q, c in pairs if q in seen.columns and _range(seen.columns[c]) > 0.0]
             if moving and all(np.array_equal(seen.columns[q], seen.columns[c], equal_nan=True) for q, c in moving):
                 what = "joints stand where they were told to, to the last digit: their positions are commands, and not measured"
                 yield Remark(self.KEY, what, "", tuple(q for q, _ in moving))
@@ -81,7 +77,7 @@ class CopiedCommands:
         for k, name in enumerate(names):
             told = seen.columns[name]
             first = next((n for n in names[:k] if np.array_equal(seen.columns[n], told, equal_nan=True)), None)
-            if first is None or np.nanmax(told) - np.nanmin(told) < LEAST_MOTION:
+            if first is None or _range(told) < LEAST_MOTION:
                 continue
             alike = [_follows(seen.columns.get(n.replace(".command", ".position")), told) for n in (first, name)]
             if min(alike) < CRITERIA.half < CRITERIA.one_signal < max(alike):
@@ -89,6 +85,12 @@ class CopiedCommands:
                 yield Remark(
                     self.KEY, what, "export it again: one of the two was written twice", (first, name), Action.REFUSED
                 )
+
+
+def _range(values: Array) -> float:
+    """Return the range of a signal (N,); 0 where nothing is known of it."""
+    there = values[np.isfinite(values)]
+    return float(np.ptp(there)) if len(there) else 0.0
 
 
 def _follows(q: Array | None, command: Array) -> float:

@@ -11,6 +11,7 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
 from galen_hw.physics.scenes.pose import POSITION
 from galen_hw.premises.base import Action, Remark, Stage, known_rows, with_matrix
+from galen_hw.premises.cells import Mask
 from galen_hw.premises.clock import PERIODS_S
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.sampling import compared_names
@@ -36,6 +37,29 @@ class _Order:
     own: Rows
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """What is compared and its simulation, row by row.
+
+    Args:
+        seen: the whole recording.
+        channels: of y; of a pose those of its place: an orientation is compared relative to its simulation.
+        y, x: (N, C) measured and simulated.
+        plain: (C,) shares that the simulation leaves, of a motion with the best delay.
+        told: (C,) which channels move in both; group: those that are asked together: small moments say little.
+        moving: whether rows are samples of a motion.
+    """
+
+    seen: Observations
+    channels: Sequence[str]
+    y: Array
+    x: Array
+    plain: Array
+    told: Mask
+    group: Mask
+    moving: bool
+
+
 class RowMatch:
     """Tests whether what is compared has the simulated values in other rows.
 
@@ -48,76 +72,90 @@ class RowMatch:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield at most one refusal: of all channels, else of those whose rows alone are in another order."""
-        some = _rows(seen)
-        if some is None or len(some[0]) < FEWEST:
+        pair = _compared(seen)
+        if pair is None:
             return
-        scene = scene_of(some[0], rates=some[1])
-        # An orientation is compared relative to its simulation.
-        count = min(3, len(scene.channels)) if seen.predict == "pose" else len(scene.channels)
-        y, x = scene.measured[:, :count], scene.simulated[:, :count]
-        if seen.predict == "wrench" and not np.any(np.ptp(x, axis=0) > 0.0):
-            # No tool is named: whatever hangs there pulls as gravity does.
-            x = np.concatenate([next(iter(readings(some[0]))).expected, np.zeros((len(y), 3))], axis=1)[:, :count]
-        told = (np.ptp(x, axis=0) > 0.0) & (np.ptp(y, axis=0) > 0.0)
-        if not (np.isfinite(x).all() and np.isfinite(y).all() and told.any()):
-            return
-        moving = some[0].time is not None and float(np.median(np.diff(some[0].time))) < PERIODS_S[1]
-        plain = late_shares(some) if moving else None
-        plain = _unexplained(y, x) if plain is None or len(plain) != count else np.minimum(plain, _unexplained(y, x))
-        # Small moments say little.
-        group = told & (np.arange(count) < 3) if seen.predict == "wrench" else told
-        # To and fro in one joint, late, is much like backwards.
-        if np.sum(group) > moving and np.mean(plain[group]) > CRITERIA.gross_left:
-            order, left = _best(_orders(len(y), moving=moving), y[:, group], x[:, group])
-            if _fits(left, float(np.mean(plain[group]))):
-                yield self._remark(tuple(compared_names(seen)), order, "what is compared")
+        for ask in (self._all, self._averaged, self._in_memory):
+            found = next(ask(pair), None)
+            if found is not None:
+                yield found
                 return
-        if not moving and some[0].time is None and (share := _of_the_last(y[:, group], x[:, group])) > 0.0:
-            what = (
-                f"each row holds {share:.0%} of the pose before: it was averaged from before the arm had come to rest"
-            )
-            todo = "average each pose from when the arm rests"
-            yield Remark(self.KEY, what, todo, tuple(compared_names(seen)), Action.REFUSED)
-            return
-        if found := list(self._in_memory(seen, scene.channels[:count], plain)):
-            yield from found
-            return
-        for c in np.flatnonzero(told & (plain > CRITERIA.half)):
-            own = (*(() if moving else _orders(len(y), moving=False)), *_sorted(y[:, c], x[:, c]))
-            if not own:
-                continue
-            order, left = _best(own, y[:, [c]], x[:, [c]])
-            if _fits(left, float(plain[c])):
-                yield self._remark((scene.channels[c],), order, scene.channels[c])
+        yield from self._single(pair)
 
-    def _in_memory(self, seen: Observations, channels: Sequence[str], plain: Array) -> Iterator[Remark]:
+    def _all(self, pair: _Pair) -> Iterator[Remark]:
+        """Yield a refusal where all rows are in another order."""
+        y, x, plain = pair.y[:, pair.group], pair.x[:, pair.group], pair.plain[pair.group]
+        # To and fro in one joint, late, is much like backwards.
+        if len(plain) > pair.moving and np.mean(plain) > CRITERIA.gross_left:
+            order, left = _best(_orders(len(y), moving=pair.moving), y, x)
+            if _fits(left, float(np.mean(plain))):
+                yield self._remark(tuple(compared_names(pair.seen)), order, "what is compared")
+
+    def _averaged(self, pair: _Pair) -> Iterator[Remark]:
+        """Yield a refusal of poses that hold a share of the pose before."""
+        share = _of_the_last(pair.y[:, pair.group], pair.x[:, pair.group]) if pair.seen.time is None else 0.0
+        if share > 0.0:
+            what = f"each row holds {share:.0%} of the pose before: averaged from before the arm had come to rest"
+            todo = "average each pose from when the arm rests"
+            yield Remark(self.KEY, what, todo, tuple(compared_names(pair.seen)), Action.REFUSED)
+
+    def _in_memory(self, pair: _Pair) -> Iterator[Remark]:
         """Yield a refusal of vectors that were written row by row and read back column by column, or the other way round."""
-        for names in (FORCE, TORQUE, POSITION, tuple(channels)):
-            at = [channels.index(name) for name in names if name in channels]
-            if len(at) < max(len(names), 2) or np.min(plain[at]) < CRITERIA.half:
+        for names in (FORCE, TORQUE, POSITION, tuple(pair.channels)):
+            at = [pair.channels.index(name) for name in names if name in pair.channels]
+            if len(at) < max(len(names), 2) or np.min(pair.plain[at]) < CRITERIA.half:
                 continue
-            Y = seen.matrix(*names)
+            Y = pair.seen.matrix(*names)
             if not np.isfinite(Y).all():
                 continue
             for new in (Y.T.reshape(Y.shape), Y.reshape(Y.T.shape).T):
-                some = _rows(with_matrix(seen, names, new))
+                some = _rows(with_matrix(pair.seen, names, new))
                 if some is None:
                     continue
                 scene = scene_of(some[0], rates=some[1])
                 left = _unexplained(scene.measured[:, at], scene.simulated[:, at])
-                if _fits(float(np.mean(left)), float(np.mean(plain[at]))):
-                    what = (
-                        f"{', '.join(names)} were written in one order of memory and read in the other: so read their "
+                if _fits(float(np.mean(left)), float(np.mean(pair.plain[at]))):
+                    says = "were written in one order of memory and read in the other"
+                    order = _Order(
+                        says, "read them as they were written: rows first, or columns", *(np.arange(len(Y)),) * 2
                     )
-                    what += "simulation explains them, and as recorded not half of them"
-                    yield Remark(
-                        self.KEY, what, "read them as they were written: rows first, or columns", names, Action.REFUSED
-                    )
-                    return
+                    yield self._remark(names, order, ", ".join(names))
+
+    def _single(self, pair: _Pair) -> Iterator[Remark]:
+        """Yield a refusal for each channel whose rows alone are in another order."""
+        for c in np.flatnonzero(pair.told & (pair.plain > CRITERIA.half)).tolist():
+            y, x = pair.y[:, [c]], pair.x[:, [c]]
+            orders = [*(() if pair.moving else _orders(len(y), moving=False)), *_sorted(y[:, 0], x[:, 0])]
+            if orders:
+                order, left = _best(orders, y, x)
+                if _fits(left, float(pair.plain[c])):
+                    yield self._remark((pair.channels[c],), order, pair.channels[c])
 
     def _remark(self, columns: tuple[str, ...], order: _Order, name: str) -> Remark:
-        what = f"{name} {order.says}: so read its simulation explains it, and as recorded not half of it"
+        what = f"{name} {order.says}: so read the simulation explains it, and as recorded it does not"
         return Remark(self.KEY, what, order.todo, columns, Action.REFUSED)
+
+
+def _compared(seen: Observations) -> _Pair | None:
+    """Return what is compared and its simulation; None where there is too little of either."""
+    some = _rows(seen)
+    if some is None or len(some[0]) < FEWEST:
+        return None
+    scene = scene_of(some[0], rates=some[1])
+    count = min(3, len(scene.channels)) if seen.predict == "pose" else len(scene.channels)
+    y, x = scene.measured[:, :count], scene.simulated[:, :count]
+    if seen.predict == "wrench" and not np.any(np.ptp(x, axis=0) > 0.0):
+        # No tool is named: whatever hangs there pulls as gravity does.
+        x = np.concatenate([next(iter(readings(some[0]))).expected, np.zeros((len(y), 3))], axis=1)[:, :count]
+    told = (np.ptp(x, axis=0) > 0.0) & (np.ptp(y, axis=0) > 0.0)
+    if not (np.isfinite(x).all() and np.isfinite(y).all() and told.any()):
+        return None
+    moving = some[0].time is not None and float(np.median(np.diff(some[0].time))) < PERIODS_S[1]
+    plain, late = _unexplained(y, x), late_shares(some) if moving else None
+    if late is not None and len(late) == count:
+        plain = np.minimum(plain, late)
+    group = told & (np.arange(count) < 3) if seen.predict == "wrench" else told
+    return _Pair(seen, scene.channels[:count], y, x, plain, told, group, moving)
 
 
 def _rows(seen: Observations) -> tuple[Observations, Rates] | None:
@@ -170,12 +208,15 @@ def _of_the_last(y: Array, x: Array) -> float:
     """Return the share of the pose before that signals (N, C) hold, where poses (N, C) in any order show it; else 0.
 
     One share of all channels, beside a constant of each, by least squares: it must leave a quarter at most of what no share does.
+    What creeps holds a few per cent.
     """
+    if not y.shape[1]:
+        return 0.0
     own, step = (v - v.mean(axis=0) for v in ((y - x)[1:], (x[:-1] - x[1:])))
     size = np.maximum(np.sum(step**2, axis=0), 1e-300)
     share = float(np.sum(np.sum(own * step, axis=0) / size) / len(size))
     left = np.sum((own - share * step) ** 2, axis=0) / np.maximum(np.sum(own**2, axis=0), 1e-300)
-    sure = 0.0 < share < 1.0 and float(np.mean(left)) < CRITERIA.gross_gain
+    sure = CRITERIA.gross_left < share < 1.0 and float(np.mean(left)) < CRITERIA.gross_gain
     return share if sure else 0.0
 
 
