@@ -12,7 +12,7 @@ from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.premises import Action, examined
 from galen_hw.premises.rotations import signed_permutations
-from tests.test_premises import FORCE, TORQUE, keys, matrix, seen, static
+from tests.test_premises import FORCE, TORQUE, keys, matrix, moving, seen, static
 from tests.test_premises_efforts import arm
 from tests.test_premises_lost_readings import efforts, motion
 from tests.test_premises_streams import PLACE, tracked, with_place
@@ -221,3 +221,13 @@ def test_a_push_in_the_axes_of_the_tip_is_turned(frame: str) -> None:
     found = examined(changed(one, {f"applied.force.{a}": f for a, f in zip("xyz", read.T, strict=True)}))
     assert [r.premise for r in found.remarks] == (["push_axes"] if frame == "tip" else [])
     assert found.observations.matrix(*(f"applied.force.{a}" for a in "xyz")) == pytest.approx(force)
+
+
+def test_a_channel_that_is_stuck_for_a_while_in_one_run_does_not_refuse_the_others() -> None:
+    """It is as long as a fiftieth of that run and not of the whole: not measured, and nothing is read otherwise."""
+    columns = moving(6000)
+    run = np.repeat(np.arange(4.0), 1500)
+    stuck = columns["wrench.force.x"].copy()
+    stuck[3300:3360] = stuck[3300]
+    found = examined(seen(columns | {"wrench.force.x": stuck, "segment": run}, named=True))
+    assert not found.refused

@@ -34,7 +34,8 @@ def by_runs(seen: Observations, whole: Examination, ask: Ask, stages: dict[str, 
     parts = _parts(base, refused)
     if not parts:
         return whole
-    each = [_wrong(ask(base.taken(part)), stages) for part in parts]
+    runs = [base.taken(part) for part in parts]
+    each = [_wrong(ask(run), run, stages) for run in runs]
     bad = [k for k, one in enumerate(each) if one is not None]
     if not 0 < len(bad) < len(parts):
         return whole
@@ -58,11 +59,22 @@ def _parts(seen: Observations, refused: Remark | None) -> Sequence[slice]:
     return [] if short or not 1 < len(runs) <= MOST else runs
 
 
-def _wrong(found: Examination, stages: dict[str, Stage]) -> Remark | None:
+def _wrong(found: Examination, run: Observations, stages: dict[str, Stage]) -> Remark | None:
     """Return the first remark on units or frames of a run by which it is not what it says."""
     asked = (Stage.UNITS, Stage.FRAMES)
-    wrong = (r for r in found.remarks if r.action is not Action.NOTE and stages.get(r.premise) in asked)
-    return next(wrong, None)
+    return next((r for r in found.remarks if stages.get(r.premise) in asked and _reads_otherwise(r, run)), None)
+
+
+def _reads_otherwise(remark: Remark, run: Observations) -> bool:
+    """Return whether a remark says that readings or the model are others, and not only that some were not measured."""
+    new = remark.repaired
+    if remark.action is Action.REFUSED or new is None:
+        return remark.action is Action.REFUSED
+    return new.belief is not run.belief or any(
+        np.any(np.isfinite(new.columns[name]) & np.isfinite(old) & (new.columns[name] != old))
+        for name, old in run.columns.items()
+        if name in new.columns
+    )
 
 
 def _where(seen: Observations, part: slice, count: int) -> str:
