@@ -56,6 +56,11 @@ class Compliance(Effect):
         """Where it sits and its form: a joint and a structure may give side by side."""
         return (*super().location, self.form)
 
+    @property
+    def complexity(self) -> int:
+        """Rarer of what the arm stands on than of a joint: of an arm that moves in a plane its tilt is the first joint's give."""
+        return self.COMPLEXITY + (self.form == "base")
+
     def follows(self, scene: Scene, channel: int) -> Follows:
         """Return what it follows: its load."""
         return (
