@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from galen_hw.diagnosis.settings import LIMITS
 from galen_hw.errors import EXIT_FOUND, EXIT_OK
 from galen_hw.extras import need
 from galen_hw.tools.answer import stamped
@@ -57,8 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--time-limit",
         metavar="S",
         type=number_in("s"),
-        default=480.0,
-        help="stop the search for better models of a recording after so many seconds, and judge the best so far (480; 0: never)",
+        default=LIMITS.seconds,
+        help="stop the search for better models of a recording after so many seconds, and judge the best so far "
+        f"({LIMITS.seconds:g}; 0: never)",
     )
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, for many recordings")
     parser.epilog = "example: galen-hw diagnose run.mcap --report report.html --save-model retractor+cable.json"

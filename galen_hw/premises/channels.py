@@ -12,7 +12,7 @@ from galen_hw.physics.scenes.base import Scene
 from galen_hw.premises.base import Action, Remark, Stage, joint_positions, known_rows, with_columns
 from galen_hw.premises.cells import runs
 from galen_hw.premises.criteria import CRITERIA
-from galen_hw.premises.sampling import compared_names, measured
+from galen_hw.premises.sampling import compared_names, copies, measured
 from galen_hw.spatial import Array
 
 DEAD: Final = 0.05
@@ -141,17 +141,13 @@ class CopiedColumns:
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a remark for each channel that is a copy of one before it."""
-        names = compared_names(seen)
-        for k, name in enumerate(names):
-            values = seen.columns[name]
-            there = values[np.isfinite(values)]
+        for first, name in copies(seen, compared_names(seen)):
+            there = seen.columns[name][np.isfinite(seen.columns[name])]
             if len(np.unique(there[: CRITERIA.stretch])) < CRITERIA.fewest_vectors:
                 continue  # what stands still, or knows hardly any value, is like others by chance
-            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], values, equal_nan=True)), None)
-            if first is not None:
-                what = f"{name} is the same as {first} in every row"
-                todo = "export it again: one of the two was written twice"
-                yield Remark(self.KEY, what, todo, (first, name), Action.REFUSED)
+            what = f"{name} is the same as {first} in every row"
+            todo = "export it again: one of the two was written twice"
+            yield Remark(self.KEY, what, todo, (first, name), Action.REFUSED)
 
 
 class JointSigns:

@@ -1,7 +1,7 @@
 """Commands that are no positions, and positions that are but commands."""
 
 from collections.abc import Iterator
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,10 +10,8 @@ from galen_hw.premises.base import Action, Remark, Stage
 from galen_hw.premises.clock import travelled
 from galen_hw.premises.criteria import CRITERIA
 from galen_hw.premises.joints import LEAST_MOTION, joint_columns
+from galen_hw.premises.sampling import copies
 from galen_hw.spatial import Array
-
-LATE: Final = 3
-"""Times of a joint's answer to a command, in equal steps up to a tenth of a second, at which its velocity is looked for."""
 
 
 class CommandedRates:
@@ -45,17 +43,11 @@ def _is_rate(seen: Observations, q: Array, command: Array) -> bool:
     both = np.isfinite(q) & np.isfinite(command)
     if both.sum() < CRITERIA.fewest_vectors or np.ptp(command[both]) == 0.0 or np.ptp(q[both]) == 0.0:
         return False
-    assert seen.time is not None, "asked only with a clock"
-    step = float(np.median(np.diff(seen.time)))
-    as_it_is = float(np.corrcoef(q[both], command[both])[0, 1])
-    late = {max(round(k * 0.1 / LATE / step), 0) for k in range(LATE + 1)} if step > 0.0 else {0}
-    for rows in late:
-        found = travelled(seen, q, np.concatenate([np.full(rows, command[0]), command[: len(command) - rows]]))
-        if found is not None and min(map(np.ptp, found)) > 0.0:
-            as_rate = float(np.corrcoef(*found)[0, 1])
-            if as_rate > CRITERIA.one_signal and as_it_is < CRITERIA.half * as_rate:
-                return True
-    return False
+    found = travelled(seen, q, command)
+    if found is None or min(map(np.ptp, found)) == 0.0:
+        return False
+    as_it_is, as_rate = (float(np.corrcoef(*pair)[0, 1]) for pair in ((q[both], command[both]), found))
+    return as_rate > CRITERIA.one_signal and as_it_is < CRITERIA.half * as_rate
 
 
 class CopiedCommands:
@@ -74,10 +66,9 @@ class CopiedCommands:
                 what = "joints stand where they were told to, to the last digit: their positions are commands, and not measured"
                 yield Remark(self.KEY, what, "", tuple(q for q, _ in moving))
             return
-        for k, name in enumerate(names):
+        for first, name in copies(seen, names):
             told = seen.columns[name]
-            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], told, equal_nan=True)), None)
-            if first is None or _range(told) < LEAST_MOTION:
+            if _range(told) < LEAST_MOTION:
                 continue
             alike = [_follows(seen.columns.get(n.replace(".command", ".position")), told) for n in (first, name)]
             if min(alike) < CRITERIA.half < CRITERIA.one_signal < max(alike):

@@ -10,7 +10,7 @@ from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.cells import Mask, rows_in, runs
 from galen_hw.premises.clock import SPEEDS, STEP, travelled
-from galen_hw.premises.sampling import compared_names, steps_within, unwrapped
+from galen_hw.premises.sampling import compared_names, copies, steps_within, unwrapped
 from galen_hw.premises.unit_tables import TURN, VELOCITY_RATIOS, unit_of
 from galen_hw.spatial import Array
 
@@ -151,11 +151,8 @@ class CopiedPositions:
     def examine(self, seen: Observations) -> Iterator[Remark]:
         """Yield a refusal for each joint that moves as one before it, and not as its velocity."""
         names = joint_columns(seen, "position") if seen.predict != "position" else []
-        for k, name in enumerate(names):
+        for first, name in copies(seen, names):
             q = seen.columns[name]
-            first = next((n for n in names[:k] if np.array_equal(seen.columns[n], q, equal_nan=True)), None)
-            if first is None:
-                continue
             speeds = [seen.columns.get(n.replace(".position", ".velocity")) for n in (first, name)]
             if any(v is not None and wrong_velocity(seen, q, v) for v in speeds):
                 what = f"{name} is the same as {first} in every row, and the velocity says otherwise"

@@ -41,6 +41,8 @@ def by_runs(seen: Observations, whole: Examination, ask: Ask, stages: dict[str, 
         return whole
     first = each[bad[0]]
     assert first is not None, "chosen for its remark"
+    if refused is not None and not refused.split and first.premise != refused.premise:
+        return whole
     where = " and ".join(_where(base, parts[k], len(parts)) for k in bad)
     todo = "put right that part" + (f": {first.todo}" if first.todo else " in the file")
     told = replace(

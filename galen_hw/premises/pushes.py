@@ -155,12 +155,7 @@ def _given(some: Observations) -> float | None:
     columns = [e.columns(scene) for e in Compliance.propose(scene) if e.form == "joint"]
     if not columns or not np.isfinite(give).all():
         return None
-    X = np.zeros((len(scene), len(scene.channels), sum(c.count for c in columns)))
-    first = 0
-    for c in columns:
-        X[:, list(c.channels), first : first + c.count] = c.values
-        first += c.count
-    X = X[:, :3]
+    X = np.concatenate([c.full(len(scene.channels)) for c in columns], axis=2)[:, :3]
     for part in some.segments:
         give[part] -= give[part].mean(axis=0)
         X[part] -= X[part].mean(axis=0)

@@ -29,7 +29,7 @@ FARTHEST: Final = 3
 
 @dataclass(frozen=True)
 class _Order:
-    """Another order of the rows of what is compared: `rows` (M,) of it belong to `own` (M,) of what drives the simulation."""
+    """Hold another order of rows: `rows` (M,) of what is compared belong to `own` (M,) of what drives the simulation."""
 
     says: str
     todo: str
@@ -39,7 +39,7 @@ class _Order:
 
 @dataclass(frozen=True)
 class _Pair:
-    """What is compared and its simulation, row by row.
+    """Hold what is compared and its simulation, row by row.
 
     Args:
         seen: the whole recording.

@@ -43,6 +43,15 @@ def _group(seen: Observations) -> list[str]:
     return [n for n in seen.columns if n.startswith(keys[0]) and n.endswith(keys[-1])]
 
 
+def copies(seen: Observations, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield a column and a later one that is the same in every row, to the last digit, for each that is a copy."""
+    for k, name in enumerate(names):
+        values = seen.columns[name]
+        first = next((n for n in names[:k] if np.array_equal(seen.columns[n], values, equal_nan=True)), None)
+        if first is not None:
+            yield first, name
+
+
 def driver_names(seen: Observations) -> list[str]:
     """Return the columns that the simulation is driven by: joints, orientation, applied force."""
     compared = set(_group(seen))

@@ -158,14 +158,14 @@ class Model:
         slope = np.einsum("nc,nck->ck", signal, centred) / (len(signal) * np.sqrt(power)[:, None])
         return power, np.asarray(np.einsum("ck,kl,cl->c", slope, self.parameter_errors.covariance[s, s], slope))
 
-    def is_sure(self, h: Hypothesis) -> bool:
-        """Return whether an effect is twice its standard error in the channel where it is strongest beside the noise.
+    def clearness(self, h: Hypothesis) -> float:
+        """Return the rms of an effect over its standard error, in the channel where it is strongest beside the noise.
 
         What its parameters leave open to any size, for others do the same, has no size that could be told.
         """
         power, variance = self.signal_of(h)
         strongest = int(np.argmax(power / self.bench.noise.sigma[list(h.raw.channels)] ** 2))
-        return bool(power[strongest] >= 4.0 * variance[strongest])
+        return float(np.sqrt(power[strongest] / max(variance[strongest], 1e-300)))
 
     def with_updated_laws(self) -> "Model":
         """Return the model with bound parameters re-evaluated at the estimates: a small body at its present place."""

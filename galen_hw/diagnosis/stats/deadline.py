@@ -7,7 +7,7 @@ from time import monotonic
 
 @dataclass
 class Deadline:
-    """When to stop looking for better models.
+    """Hold when to stop looking for better models.
 
     Args:
         seconds: by the wall clock, from now on.
@@ -31,7 +31,7 @@ class Deadline:
 
     @property
     def note(self) -> list[str]:
-        """What the answer says of a search that was stopped: nothing else."""
+        """Return what the answer says of a search that was stopped; of others nothing."""
         why = f"the search was stopped after {self.share * self.seconds:.3g} s, so that a better model may exist"
         return [f"{why}: --time-limit {2 * self.seconds:g} gives it twice as long"] if self.stopped else []
 

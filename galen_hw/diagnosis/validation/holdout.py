@@ -227,15 +227,11 @@ def _impossible(model: Model) -> list[Effect]:
 def _vague(model: Model) -> list[Hypothesis]:
     """Return effects whose parameters do not prove their names or any size, and those that patch what another one misses.
 
-    Of several that have no size one goes at a time: another one may then have its own.
+    A size is two standard errors. Of several without one the least clear goes first: another one may then have its own.
     """
-    unsure = [h for h in model.effects if not model.is_sure(h)]
-    if unsure:
-        return [
-            max(
-                unsure, key=lambda h: max(variance / power for power, variance in zip(*model.signal_of(h), strict=True))
-            )
-        ]
+    clear = [(model.clearness(h), k) for k, h in enumerate(model.effects)]
+    if clear and min(clear)[0] < 2.0:
+        return [model.effects[min(clear)[1]]]
     effects = [
         (h, h.effect, s)
         for h, s in zip(model.parts, model.slices(), strict=True)

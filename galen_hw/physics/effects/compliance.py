@@ -58,7 +58,7 @@ class Compliance(Effect):
 
     @property
     def complexity(self) -> int:
-        """Rarer of what the arm stands on than of a joint: of an arm that moves in a plane its tilt is the first joint's give."""
+        """Return more of what the arm stands on than of a joint: of an arm in a plane its tilt is the first joint's give."""
         return self.COMPLEXITY + (self.form == "base")
 
     def follows(self, scene: Scene, channel: int) -> Follows:
