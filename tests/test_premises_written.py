@@ -47,6 +47,33 @@ def test_readings_in_steps_have_no_dead_band(step: float) -> None:
     assert "dead_band" not in keys(examined(seen(columns, named=True)))
 
 
+def reported(values: np.ndarray, band: float) -> np.ndarray:
+    """Keep the last value (N,) until a reading differs from it by a dead band."""
+    out, last = [], np.inf
+    for value in values:
+        last = value if abs(value - last) >= band else last
+        out.append(last)
+    return np.array(out)
+
+
+def test_readings_that_were_reported_by_exception_are_refused() -> None:
+    columns = moving()
+    kept = {n: np.round(reported(columns[n], 0.3 * columns[n].std()), 4) for n in FORCE + TORQUE}
+    (found,) = examined(seen(columns | kept, named=True)).refused
+    assert found.premise == "reported_on_change"
+    assert set(found.columns) == set(FORCE + TORQUE)
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+@pytest.mark.parametrize("step", [0.0, 0.02, 0.5])
+def test_readings_in_steps_or_held_for_some_rows_were_not_reported_by_exception(step: float, rows: int) -> None:
+    columns = moving()
+    for name in FORCE + TORQUE:
+        held = columns[name][np.arange(1500) // rows * rows]
+        columns[name] = np.round(held / step) * step if step else held
+    assert "reported_on_change" not in keys(examined(seen(columns, named=True)))
+
+
 def test_runs_that_were_tared_by_their_own_means_are_refused() -> None:
     columns = moving()
     run = np.repeat(np.arange(3.0), 500)

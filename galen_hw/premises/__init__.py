@@ -26,6 +26,7 @@ PREMISES: Final = (
     "cells.PoseRows",
     "clock.RoundedClock",
     "dead_band.DeadBand",
+    "dead_band.ReportedOnChange",
     "overflow.Overflow",
     "channels.CopiedColumns",
     "joints.WrappedJoints",

@@ -1,6 +1,6 @@
-"""Readings that were set to zero where they are small, by a controller's dead band."""
+"""Dead bands: small readings that were set to zero, and readings that were reported only when they had changed enough."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +32,48 @@ class DeadBand:
         count = rows_in(int(np.any(zeros, axis=0).sum()), len(seen))
         what = f"{each}: read exactly zero, as behind a dead band, in {count}: taken as not measured"
         yield Remark(self.KEY, what, "", tuple(found), Action.REPAIRED, with_columns(seen, lost))
+
+
+class ReportedOnChange:
+    """Tests for readings that stand until they have changed by so much, as a bus that reports by exception delivers them."""
+
+    KEY: ClassVar[str] = "reported_on_change"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark with all such channels."""
+        names = compared_names(seen)
+        changes = {name: _changes(seen.columns[name], seen.segments) for name in names}
+        # One channel with many changes proves it of the others, of which some hardly change.
+        if not any(len(one) >= CRITERIA.stretch // CRITERIA.pieces and _in_no_steps(one) for one in changes.values()):
+            return
+        found = {name: float(one.min()) for name, one in changes.items() if len(one)}
+        kept = np.mean([np.diff(seen.columns[name]) == 0.0 for name in found])
+        each = ", ".join(f"{name} by {band:.3g}" for name, band in found.items())
+        what = f"readings stand, in {100 * kept:.0f} % of the rows, until they have changed ({each}): reported by exception"
+        todo = (
+            "record every reading (an absolute dead band of 0 in the subscription): what is smaller cannot be compared"
+        )
+        yield Remark(self.KEY, what, todo, tuple(found), Action.REFUSED)
+
+
+def _changes(values: Array, segments: Sequence[slice]) -> Array:
+    """Return the sizes (k,) of the changes of a signal (N,) that was kept until it had changed enough; none if it was not.
+
+    Noise has changes of any size, half as large as a usual one in every fourth row.
+    """
+    steps = np.abs(np.concatenate([np.diff(values[part]) for part in segments]))
+    steps = steps[np.isfinite(steps)]
+    moves = steps[steps > 0.0]
+    if not len(moves) or len(moves) > CRITERIA.half * len(steps) or moves.min() < CRITERIA.half * np.median(moves):
+        return np.empty(0)
+    return moves
+
+
+def _in_no_steps(moves: Array) -> bool:
+    """Return whether changes (k,) are no multiples of the least, as readings in steps have."""
+    odd = moves / moves.min()
+    return bool(np.mean(np.abs(odd - np.round(odd)) > CRITERIA.same_factor) > CRITERIA.half)
 
 
 def _band(values: Array) -> float:

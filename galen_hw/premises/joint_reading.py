@@ -294,7 +294,9 @@ def _doubtful(some: Observations, rates: Rates) -> bool:
     """Return whether something that is compared misses its simulation by more than its noise and friction can say."""
     if some.predict not in OWN:
         left = _unexplained(some, None)
-        return left is not None and float(np.max(left)) > CRITERIA.small_turn
+        # What an arm's tip is off by is far smaller beside its reach than a load beside its weight.
+        least = CRITERIA.small_turn if some.predict == "wrench" else CRITERIA.small_turn**2
+        return left is not None and float(np.max(left)) > least
     scene = scene_of(some, rates=rates)
     y, x = scene.measured, scene.simulated
     if len(y) < 50 or not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -317,7 +319,7 @@ def _unexplained(some: Observations, rates: Rates) -> Array | None:
         return None
     if some.predict == "wrench":
         return _of_wrench(some)
-    return _of_pose(some) if some.predict == "pose" else None
+    return _of_pose(some) if some.predict == "pose" else _of_targets(some)
 
 
 def _of_wrench(some: Observations) -> Array | None:
@@ -346,6 +348,15 @@ def _of_pose(some: Observations) -> Array | None:
         spread = turned_alike(np.tile(np.eye(3), (len(some), 1, 1)), expected)[1]
         left.append(min((turned_alike(expected, R)[1] / max(spread, 1e-9)) ** 2, 1.0))
     return np.array(left)
+
+
+def _of_targets(some: Observations) -> Array | None:
+    """Return the share (1,) of what tracked points move, the tracker's frame and their places on the tip as they fit best."""
+    scene = scene_of(some)
+    if not np.isfinite(scene.simulated).all():
+        return None
+    left = np.sum((scene.measured - scene.simulated) ** 2)
+    return np.array([min(float(left / np.sum((scene.measured - scene.measured.mean(axis=0)) ** 2)), 1.0)])
 
 
 def _of_joints(some: Observations, rates: Rates) -> Array | None:
