@@ -26,7 +26,7 @@ from galen_hw.daemon.measures import Measures
 from galen_hw.daemon.orders import Orders, build_port, build_services
 from galen_hw.daemon.port import Port, Waker
 from galen_hw.daemon.pulse import LOOP, WRENCH, PulseBoard
-from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, sharpen_timers
+from galen_hw.daemon.realtime import GarbageKeeper, raise_priority, share_one_core, sharpen_timers
 from galen_hw.decoding import LARGEST_MESSAGE, UnreadableError, decode_message, decode_reply, decode_request
 from galen_hw.errors import EXIT_OK, GalenError
 from galen_hw.messages import STREAMS, CommandError, Status
@@ -373,7 +373,9 @@ def run_orders(run: Callable[[Orders], None]) -> int:
     below_core = PRIORITY_BELOW_CORE.get(orders.name) if orders.speed == 1.0 else None
     priority = int(orders.document.get("daemon", {}).get("realtime_priority", DaemonSection().realtime_priority))
     if below_core is not None:
-        raise_priority(max(0, priority - below_core))
+        permitted = raise_priority(max(0, priority - below_core))
+        if permitted and orders.name == CORE:
+            share_one_core(priority)
     sharpen_timers()
     try:
         run(orders)
