@@ -8,7 +8,7 @@ import sys
 import pytest
 
 SHOW = """
-import json, os, zmq
+import json, os, time, zmq
 from pathlib import Path
 from galen_hw.daemon.realtime import raise_priority, share_one_core
 permitted = raise_priority({priority})
@@ -16,7 +16,11 @@ if permitted:
     share_one_core({priority})
 socket = zmq.Context.instance().socket(zmq.PUB)
 threads = {{}}
-for task in Path("/proc/self/task").iterdir():
+until = time.monotonic() + 30.0
+tasks = Path("/proc/self/task")  # a thread gives itself its name once it runs
+while not any("IO" in (t / "comm").read_text() for t in tasks.iterdir()) and time.monotonic() < until:
+    time.sleep(0.01)
+for task in tasks.iterdir():
     name, number = (task / "comm").read_text().strip(), int(task.name)
     level = os.sched_getparam(number).sched_priority
     threads[name] = [os.sched_getscheduler(number), level, sorted(os.sched_getaffinity(number))]
