@@ -70,8 +70,9 @@ class Reporter:
         detail: str,
         counters: dict[str, int],
         gauges: dict[str, float],
+        todo: str = "",
     ) -> Output:
-        """The status message; sets the time of the next one."""
+        """Make the status message and set the time of the next one; `todo`: what to do where the state is not well."""
         self._reported_ns, self._reported_samples = now_ns, counters.get("samples", 0)
         self.status_due_ns = now_ns + NS_PER_S
         message = Status(
@@ -84,5 +85,6 @@ class Reporter:
             detail=detail,
             counters=dict(counters),
             gauges=gauges,
+            todo=todo,
         )
         return ("status", message)

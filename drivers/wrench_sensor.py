@@ -117,7 +117,7 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
         self._dialogue: Conversation[Wire, Found] | None = None
         self._identity: Found | None = None
         self._restart_id: str | None = None
-        self._trouble = ""
+        self._trouble = self._trouble_todo = ""
         self._flowing = False
         self._asked_rate_hz, self._retry_s, self._silent_todo = asked_rate_hz, retry_s, silent_todo
         self._zeroing = zeroing
@@ -169,8 +169,8 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
         """Take up what the start found; what to send so that samples flow."""
 
     @abstractmethod
-    def _running(self, identity: Found, now_ns: int) -> tuple[str, str]:
-        """State and detail for people while samples flow."""
+    def _running(self, identity: Found, now_ns: int) -> tuple[str, str, str]:
+        """State and detail for people while samples flow, and what to do where the state is not "ready"."""
 
     def restore(self, state: dict[str, Any], obstacle: str) -> None:
         """See `Device.restore`."""
@@ -230,7 +230,7 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
             self._fail(now_ns, self._dialogue.failure)
         elif self._dialogue.result is not None:
             identity: Found = self._dialogue.result
-            self._identity, self._trouble = identity, ""
+            self._identity, self._trouble, self._trouble_todo = identity, "", ""
             self._phase = Phase.RUNNING
             wires += self._identified(identity, now_ns)
         return wires
@@ -238,8 +238,8 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
     def _fail(self, now_ns: int, error: DialogueError) -> None:
         self._phase, self._flowing = Phase.FAILED, False
         self._retry_ns = now_ns + round(self._retry_s * NS_PER_S)
-        self._trouble = error.what
-        self._outbox += self._reporter.fault(now_ns, error.what, error.what, error.todo or self._silent_todo)
+        self._trouble, self._trouble_todo = error.what, error.todo or self._silent_todo
+        self._outbox += self._reporter.fault(now_ns, error.what, error.what, self._trouble_todo)
         self._give_up(error.what)
 
     def _switch_off(self) -> None:
@@ -275,16 +275,17 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
 
     def _report(self, now_ns: int) -> Output:
         rate_hz = self._reporter.rate_hz(now_ns, self._counters["samples"])
-        state, detail = self._state(now_ns)
+        state, detail, todo = self._state(now_ns)
         gauges = {"rate_hz": rate_hz, "asked_rate_hz": self._asked_rate_hz, **self._measured}
-        return self._reporter.status(now_ns, state, detail, self._counters, gauges)
+        return self._reporter.status(now_ns, state, detail, self._counters, gauges, todo)
 
-    def _state(self, now_ns: int) -> tuple[str, str]:
+    def _state(self, now_ns: int) -> tuple[str, str, str]:
+        """State, detail and what to do."""
         if self._phase is Phase.OFF:
-            return "stopped", ""
+            return "stopped", "", ""
         if self._phase is Phase.FAILED:
-            return "fault", self._trouble
+            return "fault", self._trouble, self._trouble_todo
         if not self.ready or self._identity is None:
-            return "starting", self._trouble
-        state, detail = self._running(self._identity, now_ns)
-        return ("fault", f"{self._broken}; {detail}") if self._broken else (state, detail)
+            return "starting", self._trouble, self._trouble_todo
+        state, detail, todo = self._running(self._identity, now_ns)
+        return ("fault", f"{self._broken}; {detail}", _TODO_GAUGE) if self._broken else (state, detail, todo)

@@ -28,9 +28,13 @@ class GalenError(Exception):
         super().__init__(what, where, todo)
         self.what, self.where, self.todo = what, where, todo
 
+    @property
+    def problem(self) -> str:
+        """Return where and what, without what to do, for a message that has a field of its own for that."""
+        return f"{self.where}: {self.what}" if self.where else self.what
+
     def __str__(self) -> str:
-        line = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{line}; {self.todo}" if self.todo else line
+        return f"{self.problem}; {self.todo}" if self.todo else self.problem
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What the constructor takes by name, pickle would hand over by place: a process would answer with a crash.

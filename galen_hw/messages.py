@@ -198,7 +198,7 @@ class Status(Message, frozen=True, kw_only=True):
 
     Args:
         state: "starting", "ready", "degraded", "fault" or "stopped".
-        detail: one line for people.
+        detail: one line for people; todo: what an operator should do about a state that is not well, empty otherwise.
         counters: whole numbers that only grow (frames, lost, late, foreign, ...).
         gauges: rates (Hz) and ages (s), each key with its unit.
     """
@@ -207,6 +207,7 @@ class Status(Message, frozen=True, kw_only=True):
     detail: str = ""
     counters: dict[str, int] = {}
     gauges: dict[str, float] = {}
+    todo: str = ""
 
 
 class Fault(Message, frozen=True, kw_only=True):

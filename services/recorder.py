@@ -203,16 +203,16 @@ class RecorderService(Service):
         return [("status", self._status(now_ns)), *(("fault", fault) for fault in faults)]
 
     def _status(self, now_ns: int) -> Status:
-        session, state = self._session, "ready"
+        session, state, todo = self._session, "ready", ""
         counters = {"messages": 0, "lost": 0}
         detail = "not recording"
         if session is not None:
             counters = {"messages": session.messages, "lost": session.lost}
             detail = f"recording to {self._path}"
         elif self._problem is not None:
-            state, detail = "fault", f"not recording: {self._problem}"
+            state, detail, todo = "fault", f"not recording: {self._problem.problem}", self._problem.todo
             detail += "; tried again every 10 s" if self._unasked else ""
-        return Status(**self._header("status", now_ns), state=state, detail=detail, counters=counters)
+        return Status(**self._header("status", now_ns), state=state, detail=detail, counters=counters, todo=todo)
 
     def _header(self, topic: str, t_ns: int) -> dict[str, Any]:
         self._seq[topic] += 1

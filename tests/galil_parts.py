@@ -150,6 +150,10 @@ class Bench:
         return self.messages("joints/state")[-1]
 
     @property
+    def status(self) -> Any:
+        return self.messages("status")[-1]
+
+    @property
     def faults(self) -> list[str]:
         return [fault.what for fault in self.messages("fault")]
 

@@ -87,6 +87,7 @@ def test_start_that_cannot_succeed_is_a_fault(board, settings, what, todo):
     assert todo in fault.todo
     assert "ft (ATI NETCANOEM, CAN ids 0x200 to 0x20F)" in fault.where
     assert run.messages("status")[-1].state in ("fault", "starting")
+    assert todo in run.messages("status")[-1].todo
 
 
 def test_wrong_echo_of_the_slot_is_a_fault():
@@ -140,9 +141,10 @@ def test_published_quirk_stays_valid_and_resets_nothing():
     assert CanFrame(0x20C) not in board.seen
     assert run.device.counters["restarts"] == 0
     assert [status.state for status in run.messages("status")][-3:] == ["degraded"] * 3
+    assert run.messages("status")[-1].todo == "check cable and termination of the CAN bus"
     board.status = 0
     run.seconds(2.1)
-    assert run.messages("status")[-1].state == "ready"
+    assert (run.messages("status")[-1].state, run.messages("status")[-1].todo) == ("ready", "")
 
 
 def test_flicker_of_bit_14_is_not_reported():

@@ -120,6 +120,7 @@ def test_each_status_bit_decides_for_itself(word, valid, saturated, state, words
     status = last_status(run)
     assert status.state == state
     assert words in status.detail
+    assert bool(status.todo) == (state != "ready")
     for bit, name in ((THROTTLED, "throttled"), (OVERRANGE, "saturated")):
         assert (status.counters[name] > 0) == bool(word & bit)
     assert (status.counters["unusable"] > 0) is not valid

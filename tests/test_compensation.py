@@ -492,7 +492,7 @@ def test_an_unzeroed_sensor_is_not_vouched_for_until_it_is_zeroed_or_tared(tmp_p
     assert (unzeroed.valid, unzeroed.unzeroed) == (False, True)
     status = next(m for _, m in service.tick(10 * MS) if isinstance(m, Status))
     assert status.state == "degraded"
-    assert "zero it" in status.detail
+    assert "zero it" in status.todo
 
     service.request(ask("tare"), 0)
     seen = [messages(feed(service, raw((3 + k) * MS, read + offset, zeroings=0)))[0] for k in range(6)]
@@ -536,7 +536,7 @@ def test_zeroed_with_the_tool_on_it_the_wrench_is_not_vouched_for(tmp_path: Path
     assert not elsewhere.valid, "as far off in another pose"
     status = next(m for _, m in service.tick(30 * MS) if isinstance(m, Status))
     assert status.state == "degraded"
-    assert "zero without it" in status.detail
+    assert "zero without it" in status.todo
 
     service.request(ask("tare"), 0)
     reading = true_wrench(tool, turned) - away

@@ -291,6 +291,7 @@ def test_wire_that_vanishes_is_opened_again(tree: Tree) -> None:
                 and m[1].source == "daemon.core"
                 and m[1].state == "degraded"
                 and m[1].detail
+                and m[1].todo == "plug it in"
             ),
         )
     tree.sensor = Wire()

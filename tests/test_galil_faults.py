@@ -33,6 +33,8 @@ def test_emergency_stop_is_seen_and_must_be_cleared(how):
         setattr(bench.peer, key, value)
     bench.run(0.15)
     assert bench.joints.estop
+    bench.run(1.1)
+    assert (bench.status.state, bench.status.todo.split(",")[0]) == ("fault", "release it")
     with pytest.raises(CommandRejectedError, match="emergency stop or abort input is engaged"):
         bench.ask("move_jp", position={"roll": 0.1})
     assert bench.ask("clear_fault").error.what == "emergency stop or abort input is still engaged"
@@ -42,8 +44,12 @@ def test_emergency_stop_is_seen_and_must_be_cleared(how):
     typed = "galen-hw command motors clear_fault and galen-hw command motors enable"
     with pytest.raises(CommandRejectedError, match=typed):
         bench.ask("move_jp", position={"roll": 0.1})
+    bench.run(1.1)
+    assert (bench.status.state, typed in bench.status.todo) == ("fault", True)
     assert bench.ask("clear_fault").error is None
     assert bench.ask("move_jp", position={"roll": 0.1}).error is None
+    bench.run(1.1)
+    assert (bench.status.state, bench.status.todo) == ("ready", "")
 
 
 @pytest.mark.parametrize("code", [6, 15])
@@ -107,6 +113,8 @@ def test_a_dead_line_is_told_and_comes_back_by_itself():
     assert not bench.joints.valid
     assert not bench.device.ready
     assert any("does not answer" in what for what in bench.faults)
+    assert bench.status.state == "fault"
+    assert bench.status.todo.startswith("check power, cable")
     with pytest.raises(CommandRejectedError, match=r"does not answer|no answer"):
         bench.ask("enable")
     bench.peer.dead = False

@@ -63,6 +63,7 @@ def test_a_broken_gauge_is_a_fault_within_half_a_second(kind, fault, name, what)
     status = run.messages("status")[-1]
     assert status.state == "fault"
     assert name in status.detail
+    assert status.todo == run.messages("fault")[0].todo
     run.peer.world.faults.clear()
     run.seconds(2.0)
     assert run.messages("wrench/raw")[-1].valid

@@ -171,6 +171,22 @@ def test_a_source_that_falls_silent_is_a_fault_with_its_name(tmp_path: Path) -> 
     assert bench.healths[-1].parts == {"motors": "silent"}
     assert bench.healths[-1].state == "fault"
     assert "motors" in bench.causes["part motors"].what
+    assert bench.causes["part motors"].todo == "see galen-hw monitor"
+
+
+@pytest.mark.parametrize("state", ["fault", "degraded"])
+def test_an_alarm_about_a_source_says_what_the_source_wants_done(tmp_path: Path, state: str) -> None:
+    """What it says itself; where it says nothing, or not any more, where to look: `todo` is never empty."""
+    bench = Bench(tmp_path)
+    cause = f"{'part' if state == 'fault' else 'degraded'} ft"
+    for todo, shown in (("take the load off", "take the load off"), ("", "see galen-hw monitor")):
+        status(bench, "ft", state, detail="overloaded", todo=todo)
+        bench.run(1.5)
+        assert (bench.causes[cause].what, bench.causes[cause].todo) == ("ft: overloaded", shown)
+    status(bench, "ft", state, detail="overloaded", todo="take the load off")
+    bench.run(5.0)
+    assert bench.causes["part ft"].todo == "see galen-hw monitor"
+    assert all(alarm.todo for health in bench.healths for alarm in health.alarms)
 
 
 def test_rates_and_ages_are_taken_from_what_the_processes_say(tmp_path: Path) -> None:

@@ -137,6 +137,18 @@ def test_an_alarm_of_the_health_service_is_shown_with_what_to_do() -> None:
         header = {"timestamp": 0.0, "t_ns": round(now * 1e9), "seq": 0, "valid": True, "source": "health"}
         view.take("health", Health(**header, state="warning", alarms=[alarm]), now)
         assert ("the wrench drifts" in text_of(view)) == shown
+        assert ("tare it" in text_of(view)) == shown
+
+
+def test_what_a_source_wants_done_stands_beside_its_state() -> None:
+    """A daemon may run without the health service; what a silent source wanted is of another trouble."""
+    for silent_s, shown in ((0.0, True), (12.0, False)):
+        view = heard(silent_s)
+        now = time.monotonic() - silent_s
+        header = {"timestamp": 0.0, "t_ns": round(now * 1e9), "seq": 0, "valid": True, "source": "ft"}
+        view.take("status", Status(**header, state="fault", detail="too hot", todo="let it cool"), now)
+        assert ("to do: let it cool" in text_of(view)) == shown
+        assert view.as_json({})["status"]["ft"]["todo"] == "let it cool"
 
 
 def test_a_tip_at_zero_has_no_sign() -> None:

@@ -141,6 +141,7 @@ def test_a_missing_body_is_published_as_missing_and_told(roms):
     bench.run(3.0)
     assert "tool: the marker body is not seen" in bench.faults
     assert bench.messages("status")[-1].state == "degraded"
+    assert "clear the view" in bench.messages("status")[-1].todo
 
 
 @pytest.mark.parametrize(("reply", "state"), [("BX", "disabled"), ("TX", "disabled"), ("TX", "unoccupied")])

@@ -182,6 +182,7 @@ def test_start_at_once_never_keeps_the_recorder_from_starting(tmp_path: Path) ->
     status, faults = told(service.tick(NS_PER_S))
     assert (status.state, len(faults)) == ("fault", 1)
     assert "tried again every 10 s" in status.detail
+    assert status.todo == faults[0].todo != ""
     assert told(service.tick(5 * NS_PER_S))[1] == []
     (tmp_path / "rec").unlink()
     assert told(service.tick(12 * NS_PER_S))[0].detail.startswith("recording to ")

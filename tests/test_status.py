@@ -1,5 +1,6 @@
 """`galen-hw status`, its Prometheus text, and what the daemon's processes measure and log."""
 
+import io
 import json
 import logging
 import os
@@ -10,13 +11,16 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
+import msgspec
 import pytest
+from rich.console import Console
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.daemon.ages import Ages
 from galen_hw.daemon.logs import JournalFormatter, OncePerSecond, is_journal
 from galen_hw.messages import Alarm, Health, TopicHealth
 from galen_hw.tools.metrics import MetricsServer, metrics
+from galen_hw.tools.status import as_json, show
 from tests.daemon_tree import Tree, daemon_tree, within
 
 HEALTH = Health(
@@ -49,6 +53,17 @@ def test_prometheus_text_has_help_type_and_value_of_each() -> None:
     values = {line.split("{")[0].split()[0] for line in lines if not line.startswith("#")}
     assert values <= set(heads)
     assert metrics(None).splitlines()[-1] == "galen_hw_up 0"
+
+
+def test_what_to_do_stands_beside_each_alarm_for_people_and_scripts() -> None:
+    """One line an alarm; the same word in JSON."""
+    alarm = Alarm(cause="degraded ft", level="advice", what="ft: [bus] error", todo="check its cable")
+    health = msgspec.structs.replace(HEALTH, alarms=[alarm])
+    info = {"ready": True, "processes": {}, "config": "galen.toml"}
+    text = io.StringIO()
+    show(Console(file=text, width=120), health, info)
+    assert "ft: [bus] error; check its cable" in text.getvalue()
+    assert as_json(health, info)["alarms"][0]["todo"] == "check its cable"
 
 
 def test_the_server_answers_on_loopback_under_its_own_name_only() -> None:

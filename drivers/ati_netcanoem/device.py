@@ -207,11 +207,11 @@ class AtiNetcanoem(HostBiasedSensor[CanFrame, AtiIdentity]):
         bias = np.zeros(6) if self._bias.offset is None else self._matrix @ self._bias.offset
         self._rows = np.column_stack((self._matrix, bias)).tolist()
 
-    def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str]:
-        state, trouble = self._status.state(now_ns)
+    def _running(self, identity: AtiIdentity, now_ns: int) -> tuple[str, str, str]:
+        state, trouble, todo = self._status.state(now_ns)
         if self._barren:
-            state, trouble = "fault", self._barren
-        return state, "; ".join(filter(None, (trouble, identity.described, self._zeroed)))
+            state, trouble, todo = "fault", self._barren, _TODO_HALVES
+        return state, "; ".join(filter(None, (trouble, identity.described, self._zeroed))), todo
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, base id and bit rate"

@@ -7,6 +7,7 @@ again.
 """
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from galen_hw.clock import NS_PER_S
 from galen_hw.drivers.ati_netcanoem.codec import (
@@ -16,6 +17,10 @@ from galen_hw.drivers.ati_netcanoem.codec import (
     WATCHDOG_MASK,
     status_texts,
 )
+
+_TODO_CRITICAL: Final = "do not use the data; see the sensor's manual"
+_TODO_DEFAULTS: Final = "store base id and bit rate in the board again"
+_TODO_BUS: Final = "check cable and termination of the CAN bus"
 
 
 @dataclass(slots=True)
@@ -42,10 +47,10 @@ class StatusWord:
         self.critical = bool(word & CRITICAL_MASK)
         if self.critical:
             texts = "; ".join(status_texts(word & CRITICAL_MASK))
-            self.news.append((texts, f"{texts} (status 0x{word:04X})", "do not use the data; see the sensor's manual"))
+            self.news.append((texts, f"{texts} (status 0x{word:04X})", _TODO_CRITICAL))
         if word & ~(old or 0) & DEFAULTS_MASK:
             texts = status_texts(DEFAULTS_MASK)[0]
-            self.news.append(("defaults", texts, "store base id and bit rate in the board again"))
+            self.news.append(("defaults", texts, _TODO_DEFAULTS))
         if not word & BUS_ERROR_MASK:
             self._bus_error_since_ns = None
         elif self._bus_error_since_ns is None:
@@ -59,12 +64,14 @@ class StatusWord:
             )
         return restarted
 
-    def state(self, now_ns: int) -> tuple[str, str]:
-        """State and detail for the status message."""
+    def state(self, now_ns: int) -> tuple[str, str, str]:
+        """Return state, detail and what to do, for the status message."""
         word = self.word or 0
         if self.critical:
-            return "fault", "; ".join(status_texts(word & CRITICAL_MASK))
+            return "fault", "; ".join(status_texts(word & CRITICAL_MASK)), _TODO_CRITICAL
         texts = status_texts(word & DEFAULTS_MASK)
+        todos = [_TODO_DEFAULTS] if texts else []
         if self._bus_error_since_ns is not None and now_ns - self._bus_error_since_ns >= self.bus_error_s * NS_PER_S:
             texts += status_texts(BUS_ERROR_MASK)
-        return ("degraded", "; ".join(texts)) if texts else ("ready", "")
+            todos.append(_TODO_BUS)
+        return ("degraded", "; ".join(texts), "; ".join(todos)) if texts else ("ready", "", "")

@@ -173,8 +173,7 @@ class Bota(HostBiasedSensor[bytes, BotaIdentity]):
         self._counters["saturated"] += bool(frame.status & OVERRANGE)
         if self._unusable:
             self._counters["unusable"] += 1
-            todo = _TODO_OVERRANGE if frame.status & OVERRANGE else _TODO_STATUS
-            self._outbox += self._reporter.fault(t_ns, self._unusable, self._unusable, todo)
+            self._outbox += self._reporter.fault(t_ns, self._unusable, self._unusable, _unusable_todo(frame.status))
             self._outbox += self._bias.give_up("fault", self._unusable)
         self._answer_restart()
         if self._bias.active:
@@ -188,11 +187,18 @@ class Bota(HostBiasedSensor[bytes, BotaIdentity]):
     def _gauge_name(self, gauge: int) -> str:
         raise NotImplementedError("its gauges are not watched")
 
-    def _running(self, identity: BotaIdentity, now_ns: int) -> tuple[str, str]:
-        state = "fault" if self._unusable else "degraded" if self._word & THROTTLED else "ready"
-        return state, "; ".join((*status_texts(self._word), identity.described, self._zeroed))
+    def _running(self, identity: BotaIdentity, now_ns: int) -> tuple[str, str, str]:
+        detail = "; ".join((*status_texts(self._word), identity.described, self._zeroed))
+        if self._unusable:
+            return "fault", detail, _unusable_todo(self._word)
+        return ("degraded", detail, _TODO_THROTTLED) if self._word & THROTTLED else ("ready", detail, "")
+
+
+def _unusable_todo(word: int) -> str:
+    return _TODO_OVERRANGE if word & OVERRANGE else _TODO_STATUS
 
 
 _TODO_SILENT: Final = "check its power and cable, and interface and address of its transport"
 _TODO_OVERRANGE: Final = "take the load off; if it stays, the sensor is overloaded"
+_TODO_THROTTLED: Final = "lower the asked rate, or look at what the sensor is connected through"
 _TODO_STATUS: Final = "do not use the wrench; see the status word in the sensor's manual"

@@ -67,7 +67,7 @@ class GalilDmc(Device[bytes]):
         self._record = record_exchange(self._axes.letters)
         self._connected = False
         self._model = ""
-        self._trouble = ""
+        self._trouble = self._todo = ""
         self._t_ns = 0
         self._connect_ns = self._record_ns = self._status_ns = self._servo_ns = self._beat_ns = FAR_NS
         self._beat_every_ns = _ns(settings.watchdog_s / BEATS_A_TIMEOUT)
@@ -77,7 +77,7 @@ class GalilDmc(Device[bytes]):
         self._outbox += self._lose(now_ns) if self._connected else self._end_all(now_ns)
         self._jobs.reset()
         self._state.reset()
-        self._trouble = ""
+        self._trouble = self._todo = ""
         self._connect_ns = now_ns
         self._report.start(now_ns)
 
@@ -132,7 +132,7 @@ class GalilDmc(Device[bytes]):
         self._outbox += self._end_all(now_ns)
         self._link.drain(now_ns)  # what still arrives belongs to nobody
         self._connect_ns = FAR_NS
-        self._trouble = "stopped"
+        self._trouble, self._todo = "stopped", ""
         wires = [f"ST {self._axes.letters}\r".encode()]
         return [*wires, f"HX {THREAD}\r".encode()] if self._settings.watchdog_s else wires
 
@@ -220,11 +220,11 @@ class GalilDmc(Device[bytes]):
         self._record_ns = min(self._record_ns, now_ns)
         if not self._connected or self._jobs.silences < _SILENCES_TO_LOSE:
             return []
-        todo = "check power, cable and baud rate; a jogging axis is stopped by the controller's own limits only"
         self._trouble = "the controller does not answer"
+        self._todo = "check power, cable and baud rate; a jogging axis is stopped by the controller's own limits only"
         self._counts["lost_connections"] += 1
         self._connect_ns = now_ns + _ns(self._settings.reconnect_s)
-        return [*self._lose(now_ns), *self._report.fault(now_ns, "lost", self._trouble, todo)]
+        return [*self._lose(now_ns), *self._report.fault(now_ns, "lost", self._trouble, self._todo)]
 
     def _lose(self, now_ns: int) -> list[Output]:
         """Forget the connection: who waits is answered, and subscribers see that the joint state is no longer good."""
@@ -325,10 +325,11 @@ class GalilDmc(Device[bytes]):
             wrong = isinstance(error, WrongDeviceError)
             self._trouble = str(error) or "no answer from the controller"
             self._connect_ns = now_ns + _ns(self._settings.reconnect_s)
-            todo = "check the port in the configuration" if wrong else "check power, cable, port and baud rate"
-            return self._report.fault(now_ns, "connect", self._trouble, todo)
+            self._todo = "check the port in the configuration" if wrong else "check power, cable, port and baud rate"
+            return self._report.fault(now_ns, "connect", self._trouble, self._todo)
         controller: Controller = result["controller"]
-        self._connected, self._trouble, self._model = True, "", controller.model
+        self._connected, self._model = True, controller.model
+        self._trouble = self._todo = ""
         self._state.disabled_limits = controller.disabled_limits
         self._record_ns = now_ns
         self._status_ns = now_ns + _ns(self._settings.status_interval_s)
@@ -357,7 +358,7 @@ class GalilDmc(Device[bytes]):
         gauges = {"rate_hz": self._report.rate_hz(now_ns, self._counts["samples"])}
         if self._t_ns:
             gauges["age_s"] = (now_ns - self._t_ns) / NS_PER_S
-        return self._report.status(now_ns, state, detail, self.counters, gauges)
+        return self._report.status(now_ns, state, detail, self.counters, gauges, self._todo or self._state.todo)
 
 
 def _ns(seconds: float) -> int:

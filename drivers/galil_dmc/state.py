@@ -79,6 +79,13 @@ class GalilState:
         """Some motors are on and some are off."""
         return self.record is not None and len({self.record.axes[a].motor_on for a in self._axes.letters}) > 1
 
+    @property
+    def todo(self) -> str:
+        """What an operator does about what is latched; empty where nothing is."""
+        if self.estop:
+            return f"release it, then {self._axes.again}"
+        return f"remove the cause, then {self._axes.again}" if self.latched else ""
+
     def at_limits(self, joint: str) -> tuple[bool, bool]:
         """At the lower and at the upper end."""
         axis = self._axes.by_joint[joint]

@@ -82,8 +82,8 @@ class IitStrain(PairedSensor[IitStrainIdentity], HostBiasedSensor[CanFrame, IitS
     def _use_bias(self) -> None:
         self._offset = [0.0] * 6 if self._bias.offset is None else self._bias.offset.tolist()
 
-    def _running(self, identity: IitStrainIdentity, now_ns: int) -> tuple[str, str]:
-        return "ready", f"{identity.described}, {self._zeroed}"
+    def _running(self, identity: IitStrainIdentity, now_ns: int) -> tuple[str, str, str]:
+        return "ready", f"{identity.described}, {self._zeroed}", ""
 
 
 _LIMIT: Final = "the converter is at its limit"

@@ -12,7 +12,7 @@ from galen_hw.clock import NS_PER_S, TimeBase
 from galen_hw.drivers.device import Device, Output
 from galen_hw.drivers.ndi_tracker.codec import BadReplyError, Tracking, parse_bx, parse_tx
 from galen_hw.drivers.ndi_tracker.link import NdiLink, NdiReply
-from galen_hw.drivers.ndi_tracker.poses import NdiPoses
+from galen_hw.drivers.ndi_tracker.poses import TODO_UNSEEN, NdiPoses
 from galen_hw.drivers.ndi_tracker.scripts import (
     Ask,
     Hear,
@@ -61,14 +61,14 @@ class NdiTracker(Device[bytes]):
         self._unsettled = False
         self._tracking = False
         self._stopped = True
-        self._trouble = ""
+        self._trouble = self._todo = ""
         self._failures = 0
         self._connect_ns = self._ask_ns = FAR_NS
 
     def start(self, now_ns: int) -> None:
         """Begin, or begin again: the tracker is brought from any state to tracking."""
         self._forget()
-        self._stopped, self._trouble = False, ""
+        self._stopped, self._trouble, self._todo = False, "", ""
         self._connect_ns = now_ns
         self._report.start(now_ns)
 
@@ -209,7 +209,8 @@ class NdiTracker(Device[bytes]):
         except StopIteration as end:
             self._script = self._step = None
             self._poses.begin(end.value, t_ns)
-            self._tracking, self._trouble, self._failures, self._ask_ns = True, "", 0, t_ns
+            self._tracking, self._failures, self._ask_ns = True, 0, t_ns
+            self._trouble = self._todo = ""
             return []
         except (NdiError, NdiSetupError, NdiSilentError, BadReplyError) as error:
             what = str(error) or "no answer from the tracker"
@@ -244,7 +245,7 @@ class NdiTracker(Device[bytes]):
 
     def _lose(self, what: str, todo: str, t_ns: int) -> list[Output]:
         self._forget()
-        self._trouble = what
+        self._trouble, self._todo = what, todo
         self._connect_ns = t_ns + _ns(self._settings.reconnect_s)
         return self._report.fault(t_ns, "connection", what, todo)
 
@@ -255,9 +256,10 @@ class NdiTracker(Device[bytes]):
             state = "degraded" if self._poses.unseen(now_ns) else "ready"
         else:
             state = "fault" if self._trouble else "starting"
+        todo = self._todo or (TODO_UNSEEN if state == "degraded" else "")
         detail = self._trouble or ("tracking " + self._poses.detail(now_ns) if self._tracking else "")
         gauges = {"rate_hz": self._report.rate_hz(now_ns, self._poses.counts["samples"])}
-        return self._report.status(now_ns, state, detail, self.counters, gauges)
+        return self._report.status(now_ns, state, detail, self.counters, gauges, todo)
 
 
 def _code(text: str) -> int:

@@ -14,6 +14,7 @@ from galen_hw.messages import Quaternion, TrackedPose, Vector3
 
 _M_PER_MM: Final = 1e-3
 _UNIT_TOLERANCE: Final = 0.01
+TODO_UNSEEN: Final = "clear the view, clean the markers, check rom_file"
 _EVENTS: Final = {
     "restart": ("the tracker's frame counter began again", "record this set anew; poses before and after may differ"),
     "jump": ("the tracker's frame counter jumped against the host's time", "record this set anew"),
@@ -101,7 +102,7 @@ class NdiPoses:
         if t_ns - self._seen_ns[handle] < self._missing_ns:
             return []
         what = f"{role}: the marker body is not seen"
-        return self._report.fault(t_ns, what, what, "clear the view, clean the markers, check rom_file")
+        return self._report.fault(t_ns, what, what, TODO_UNSEEN)
 
     def _message(self, transform: Transform, frame: int, role: Role, system_status: int) -> Output:
         topic = f"tracker/{role}"

@@ -93,8 +93,8 @@ class RobotousRft(PairedSensor[RobotousIdentity]):
         if any(isinstance(reply, Reply) and reply.error is None for reply in replies):
             self._gauges.learn()
 
-    def _running(self, identity: RobotousIdentity, now_ns: int) -> tuple[str, str]:
-        return "ready", f"{identity.described}, {'zeroed' if self._bias.zeroings else 'not zeroed'}"
+    def _running(self, identity: RobotousIdentity, now_ns: int) -> tuple[str, str, str]:
+        return "ready", f"{identity.described}, {'zeroed' if self._bias.zeroings else 'not zeroed'}", ""
 
 
 _TODO_SILENT: Final = "check its power, CAN wiring and termination, identifiers and the bit rate (1 Mbit/s)"

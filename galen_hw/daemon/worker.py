@@ -283,10 +283,12 @@ class Worker:
         }
         counters |= {f"published {topic}": n for topic, n in self.host.published.items()}
         counters |= {f"too old {topic}": n for topic, n in self.host.old.items()}
-        problems = [str(p.error) for p in self._ports if p.error is not None]
+        errors = [p.error for p in self._ports if p.error is not None]
+        problems, todos = [e.problem for e in errors], [e.todo for e in errors if e.todo]
         old, self._old_before = sum(self.host.old.values()) - self._old_before, sum(self.host.old.values())
         if old:
             problems.append(f"{old} messages too old to be used: the computer is too slow or too busy")
+            todos.append("end what else runs on this machine")
         ready = not old and all(p.state == "open" for p in self._ports)
         self._link.publish(
             "status",
@@ -300,6 +302,7 @@ class Worker:
                 detail="; ".join(problems),
                 counters=counters,
                 gauges=self._measures.take(now, self.host.ages, self.host.ports),
+                todo="; ".join(todos),
             ),
         )
 
@@ -319,6 +322,7 @@ class Worker:
                 source=f"daemon.{name}",
                 state="fault",
                 detail=detail,
+                todo="wait, it is replaced; if it comes again, the machine is too busy",
             )
             self._link.publish("status", status)
 

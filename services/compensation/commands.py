@@ -38,8 +38,8 @@ class CompensationCommands:
         self.name, self._settings, self._correction, self._store, self._robot = name, settings, correction, store, robot
         self.tare: Tare | None = None
         self.serial = ""
-        self.problem = ""
-        """Why no wrench can be valid; empty when nothing is wrong."""
+        self.problem = self.todo = ""
+        """Why no wrench can be valid, and what to do; empty when nothing is wrong."""
 
     def take_up_selected(self) -> None:
         """Use the tool that was in hand when the daemon last ran; what is wrong with it goes to `problem`."""
@@ -48,7 +48,7 @@ class CompensationCommands:
             if selected is not None:
                 self.use(selected)
         except GalenError as error:
-            self.problem = str(error)
+            self.problem, self.todo = error.problem, error.todo
 
     def carry_out(self, request: Request, now_ns: int) -> list[Output]:
         """Carry out a command; see the class.
@@ -140,6 +140,7 @@ class CompensationCommands:
             return  # Why the selected tool could not be taken up stays a problem.
         problems = self._binding_problems(model.tool)
         self.problem = f"tool {model.name!r} {' and '.join(problems)}" if problems else ""
+        self.todo = f"galen-hw calibrate --tool {model.name}, or select another tool" if problems else ""
 
     def feed_tare(self, tare: Tare, raw: WrenchRaw, predicted: Six) -> list[Output]:
         """Add one valid sample to a running tare; its reply when there are enough."""

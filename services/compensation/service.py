@@ -219,11 +219,9 @@ class CompensationService(Service):
         self._next_status_ns = now_ns + NS_PER_S
         outputs.append(("status", self._status(now_ns)))
         if self._commands.problem:
-            todo = "calibrate the tool, or select another"
             header = self._header("fault", now_ns)
-            outputs.append(
-                ("fault", Fault(**header, valid=True, what=self._commands.problem, where=self.name, todo=todo))
-            )
+            what, todo = self._commands.problem, self._todo()
+            outputs.append(("fault", Fault(**header, valid=True, what=what, where=self.name, todo=todo)))
         if self._correction.last_ns and not self._correction.changed:
             outputs.append(("compensation/state", self._state()))
         return outputs
@@ -236,17 +234,27 @@ class CompensationService(Service):
         header = self._header("status", now_ns)
         gauges = {"joints_age_s": self._age_s}
         detail = self._commands.problem or self._describe()
-        return Status(**header, valid=True, state=state, detail=detail, counters=counters, gauges=gauges)
+        return Status(
+            **header, valid=True, state=state, detail=detail, counters=counters, gauges=gauges, todo=self._todo()
+        )
+
+    def _todo(self) -> str:
+        """Return what an operator does about the first thing that keeps the wrench from being valid, empty if nothing does."""
+        if self._commands.problem:
+            return self._commands.todo or "calibrate the tool, or select another"
+        if self._offset:
+            return "zero it with no tool on, or tare untouched"
+        if self._correction.unseen:
+            return "put it on; if it was on, zero without it, or tare untouched"
+        return ""
 
     def _describe(self) -> str:
         model = self._correction.model
         offset = ""
         if self._offset:
-            offset = "; the sensor is not zeroed: zero it with no tool on, or tare untouched"
+            offset = "; the sensor is not zeroed"
         elif self._correction.unseen:
-            offset = (
-                "; zeroed, and the tool not felt since: put it on; if it was on, zero without it, or tare untouched"
-            )
+            offset = "; zeroed, and the tool not felt since"
         if model is None:
             return "no tool selected: the wrench holds its weight" + offset
         return f"{model.calibration}" + ("" if self._correction.enabled else ", switched off") + offset

@@ -39,7 +39,7 @@ class ServedModel:
         try:
             self.load()
         except GalenError as error:
-            self.problem, self.todo = str(error), error.todo
+            self.problem, self.todo = error.problem, error.todo
 
     @property
     def id(self) -> str:

@@ -209,7 +209,7 @@ class DeflectionService(Service):
         detail += "" if self._enabled or served.problem else ", switched off"
         header = self._header("status", now_ns)
         outputs: list[Output] = [
-            ("status", Status(**header, valid=True, state=state, detail=detail, counters=counters))
+            ("status", Status(**header, valid=True, state=state, detail=detail, counters=counters, todo=served.todo))
         ]
         if served.problem:
             header = self._header("fault", now_ns)

@@ -15,15 +15,22 @@ from galen_hw.services.health.settings import HealthSettings
 MB: Final = 1e6
 STEADY_S: Final = 5
 """Seconds in a row that must be too noisy."""
+LOOK: Final = "see galen-hw monitor"
 TARE: Final = "if nothing touches the tool, tare it"
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known of everything at one time; see `Health`; `saturated`: samples of the last second that were."""
+    """What is known of everything at one time; see `Health`.
+
+    Args:
+        todos: what each source says is to be done about itself, empty where it says nothing.
+        saturated: samples of the last second that were.
+    """
 
     parts: dict[str, str]
     details: dict[str, str]
+    todos: dict[str, str]
     gauges: dict[str, float]
     topics: dict[str, TopicHealth]
     saturated: int
@@ -64,9 +71,10 @@ class Judgement:
         for name, state in known.parts.items():
             detail = known.details.get(name, "")
             words = f"{name}: {detail}" if detail and state != "silent" else f"{name} is {state}"
-            bad = state in ("fault", "silent")
-            self._say(f"part {name}", "fault", words, "see galen-hw monitor", now, bad=bad)
-            self._say(f"degraded {name}", "advice", words, "", now, bad=state == "degraded")
+            # What a silent part has said last is of another trouble.
+            todo = (known.todos.get(name, "") if state != "silent" else "") or LOOK
+            self._say(f"part {name}", "fault", words, todo, now, bad=state in ("fault", "silent"))
+            self._say(f"degraded {name}", "advice", words, todo, now, bad=state == "degraded")
 
     def _samples(self, known: Known, now: tuple[float, float]) -> None:
         n, lost = known.saturated, known.gauges.get("lost_share", math.nan)

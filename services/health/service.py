@@ -129,8 +129,9 @@ class HealthService(Service):
         fresh = {n: s for n, (s, heard) in self._statuses.items() if 0 <= now_ns - heard <= SILENT_NS}
         parts = {n: fresh[n].state if n in fresh else "silent" for n in self._statuses}
         details = {n: s.detail for n, (s, _) in self._statuses.items()}
+        todos = {n: s.todo for n, (s, _) in self._statuses.items()}
         gauges = self._gauges(fresh)
-        return Known(parts, details, gauges, self._topics(fresh), self._grown(fresh, "saturated"))
+        return Known(parts, details, todos, gauges, self._topics(fresh), self._grown(fresh, "saturated"))
 
     def _gauges(self, fresh: Mapping[str, Status]) -> dict[str, float]:
         found = {f"{name} {key}": value for name, status in fresh.items() for key, value in status.gauges.items()}
