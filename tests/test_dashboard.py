@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -18,9 +18,12 @@ from websockets.sync.client import ClientConnection, connect
 
 from galen_hw.bus import Subscriber
 from galen_hw.config.paths import Addresses
+from galen_hw.config.tool_file import Origin, ToolFile
+from galen_hw.config.tool_store import ToolStore
 from galen_hw.errors import CommandRejectedError
 from galen_hw.kinematics import GalenRobot
 from galen_hw.messages import Vector3, WrenchCompensated, WrenchRaw, encode, encode_batch
+from galen_hw.tools.calibration import figures
 from galen_hw.tools.dashboard import frames
 from galen_hw.tools.dashboard.access import Access
 from galen_hw.tools.dashboard.actions import Actions, report_file, reports, requests_of, tools
@@ -245,6 +248,24 @@ def test_reports_are_given_out_of_their_folder_only(tmp_path: Path) -> None:
         assert report_file(info, folder, name) is None
     assert report_file(info, "pointer-0001", "../../secret.html") is None
     assert reports({}) == []
+
+
+def test_the_report_of_a_calibration_is_where_the_page_links_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The link that the last step shows is one that is served, and one of the list: a page without .html was neither."""
+    monkeypatch.setattr(figures, "figures", lambda *_: [])
+    monkeypatch.setattr(figures, "render", lambda *_: "<title>pointer</title>")
+    origin = Origin(date="2001-09-09T01:46:40+00:00", software="t", robot="galen", method="t", generation=1)
+    file = ToolFile(schema=1, name="pointer", tip=(0.0, 0.0, 0.1), origin=origin)
+    calibration = Calibration(Addresses(tmp_path / "run"), {})
+    link = calibration._report(ToolStore(tmp_path, virtual=True), file, cast("Any", None), None)
+
+    info = {"state_dir": str(tmp_path)}
+    assert [report["link"] for report in reports(info)] == [link]
+    found = report_file(info, *link.split("/"))
+    assert found is not None
+    assert found.read_text() == "<title>pointer</title>"
 
 
 def test_the_list_of_tools_says_which_can_be_taken_in_hand(tmp_path: Path) -> None:

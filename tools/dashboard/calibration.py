@@ -28,6 +28,7 @@ from galen_hw.tools.calibration.poses import poses_of
 from galen_hw.tools.calibration.recorded import setting_of
 from galen_hw.tools.calibration.result import Result, analyse, tool_file, with_terms
 from galen_hw.tools.calibration.sweep import Operator, by_virtual_hand, run_sweep
+from galen_hw.tools.outputs import PAGE
 
 ALIVE_S: Final = 2.0
 """Silence of the page that calibrates, after which the robot stops."""
@@ -173,9 +174,8 @@ class Calibration:
         assert file.origin is not None
         leaf = f"{file.name}-{file.origin.generation:04d}"
         try:
-            page = write_report(
-                result, store.state_dir / "reports" / leaf, file, check, f"accepted as {file.calibration_id}"
-            )
+            page = store.state_dir / "reports" / leaf / PAGE
+            write_report(result, page, file, check, f"accepted as {file.calibration_id}")
         except OSError:
             return ""
         return f"{leaf}/{page.name}"
