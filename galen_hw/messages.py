@@ -4,6 +4,7 @@ Every message starts with the same header. Numbers are SI. `valid` is false unle
 Encoding is a msgpack map with stable keys, so that PlotJuggler's ZeroMQ plug-in reads it without a bridge.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -242,13 +243,14 @@ class CalibrationProgress(Message, frozen=True, kw_only=True):
 class TopicHealth(msgspec.Struct, frozen=True, kw_only=True):
     """How a topic flows: published a second and what is nominal, share not seen here and share that was valid.
 
+    `lost_share`, `valid_share`: NaN where nobody counts them (all but the compensated wrenches).
     `p50_s`, `p99_s`, `worst_s`: age when published, of the last second; 0 where nothing was.
     """
 
     rate_hz: float
     nominal_hz: float
-    lost_share: float = 0.0
-    valid_share: float = 1.0
+    lost_share: float = math.nan
+    valid_share: float = math.nan
     p50_s: float = 0.0
     p99_s: float = 0.0
     worst_s: float = 0.0

@@ -199,12 +199,18 @@ def test_rates_and_ages_are_taken_from_what_the_processes_say(tmp_path: Path) ->
             "disk_free_bytes": 1e8,
             "bus_load_share ft": 0.9,
         }
-        status(bench, "daemon.core", counters={"published wrench/raw": 990 * n}, gauges=gauges)
+        counters = {"published wrench/raw": 990 * n, "published wrench/contact": 200 * n}
+        status(bench, "daemon.core", counters=counters, gauges=gauges)
         bench.run(1.0)
 
-    topic = bench.healths[-1].topics["wrench/raw"]
+    topics = bench.healths[-1].topics
+    topic = topics["wrench/raw"]
     assert topic.rate_hz == pytest.approx(990, rel=0.01)
     assert (topic.p50_s, topic.p99_s, topic.nominal_hz) == (0.001, 0.003, 1000.0)
+    assert np.isnan([topic.valid_share, topic.lost_share]).all(), (
+        "nobody counts them: they had been 1 and 0 whatever was"
+    )
+    assert (topics["wrench/contact"].valid_share, topics["wrench/contact"].lost_share) == (1.0, 0.0)
     assert "100 MB" in bench.causes["disk"].what
     assert "90 %" in bench.causes["bus load"].what
 

@@ -66,6 +66,18 @@ def test_what_to_do_stands_beside_each_alarm_for_people_and_scripts() -> None:
     assert as_json(health, info)["alarms"][0]["todo"] == "check its cable"
 
 
+def test_a_share_that_nobody_counts_is_not_shown_as_one() -> None:
+    """It had been "lost 0, valid 100 %" for every topic but the compensated wrench, whatever was published."""
+    info = {"ready": True, "processes": {}, "config": "galen.toml"}
+    text = io.StringIO()
+    show(Console(file=text, width=120), HEALTH, info)
+    (row,) = (line.split() for line in text.getvalue().splitlines() if line.startswith("wrench/raw"))
+    assert row == ["wrench/raw", "999.5", "1000", "-", "-", "0.00", "2.00"]
+    topic = as_json(HEALTH, info)["topics"]["wrench/raw"]
+    assert (topic["valid_share"], topic["lost_share"]) == (None, None)
+    assert 'galen_hw_topic_valid_ratio{topic="wrench/raw"} NaN' in metrics(HEALTH)
+
+
 def test_the_server_answers_on_loopback_under_its_own_name_only() -> None:
     """`/metrics` is served; another path, or another site's name for this address, is not."""
     with MetricsServer(0, lambda: metrics(HEALTH)) as server:

@@ -1,6 +1,7 @@
 """`galen-hw status`: whether everything is well, in one look, for people, scripts and Prometheus."""
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -132,7 +133,8 @@ def show(console: "Console", health: "Health", info: dict[str, Any]) -> None:
         topics.add_column(head, justify="right" if i else "left")
     for name, t in sorted(health.topics.items()):
         cells = (t.rate_hz, t.nominal_hz, 100 * t.lost_share, 100 * t.valid_share, 1e3 * t.p50_s, 1e3 * t.p99_s)
-        topics.add_row(name, *(f"{x:.{d}f}" for x, d in zip(cells, (1, 0, 2, 0, 2, 2), strict=True)))
+        digits = zip(cells, (1, 0, 2, 0, 2, 2), strict=True)
+        topics.add_row(name, *("-" if math.isnan(x) else f"{x:.{d}f}" for x, d in digits))
     console.print(topics)
     known = [(text, factor * health.gauges[key], d) for key, text, factor, d in SHOWN if key in health.gauges]
     console.print("\n".join(f"{text}: {value:.{d}f}" for text, value, d in known), highlight=False)

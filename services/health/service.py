@@ -39,6 +39,8 @@ SILENT_NS: Final = 3 * NS_PER_S
 MOST_SOURCES: Final = 64
 SAID: Final = ("part ", "degraded ")
 """Causes that their source tells of itself, unless it is silent."""
+COUNTED: Final = ("wrench/compensated", "wrench/contact")
+"""Whose losses and validity are known: the second is made of the same samples, with their `valid`."""
 MOST_LOST: Final = 1_000_000
 """Of one gap in `seq`; what is beyond is no loss."""
 
@@ -174,7 +176,7 @@ class HealthService(Service):
         """One row; several processes publish `status`."""
         if other is not None:
             rate += other.rate_hz
-        if name != "wrench/compensated" or not self._samples:
+        if name not in COUNTED or not self._samples:
             return TopicHealth(rate_hz=rate, nominal_hz=nominal, **ages)
         lost, valid = self._lost / (self._samples + self._lost), self._valid / self._samples
         return TopicHealth(rate_hz=rate, nominal_hz=nominal, lost_share=lost, valid_share=valid, **ages)

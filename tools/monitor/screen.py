@@ -175,7 +175,7 @@ def _states(view: View, now: float) -> Panel:
         state = f"silent for {now - heard_s:.1f} s" if silent else status.state
         found.add("fault" if silent else status.state)
         colour = "red" if silent else COLOURS.get(status.state, "default")
-        todo = f" [dim]to do: {escape(status.todo)}[/]" if status.todo and not silent else ""
+        todo = f"; [dim]to do: {escape(status.todo)}[/]" if status.todo and not silent else ""
         detail = f"[dim]{escape(status.detail)}[/]" if silent else escape(status.detail) + todo
         table.add_row(name, f"[{colour}]{state}[/]", detail)
     worst = next((c for s, c in (("fault", "red"), ("degraded", "yellow")) if s in found), "grey50")
