@@ -33,11 +33,17 @@ class ToolSize:
     STAGE: ClassVar[Stage] = Stage.UNITS
 
     def examine(self, seen: Observations) -> Iterator[Remark]:
-        """Yield a remark for a centre of mass or a tip that lies metres off."""
+        """Yield a remark for a centre of mass or a tip that lies metres off, and for an inertia of a tool as wide."""
         for what, place in (("com", seen.belief.tool.com), ("tip", seen.belief.tip)):
             if (size := float(np.linalg.norm(place))) > CRITERIA.longest_lever:
                 says = f"tool.{what} lies {size:.4g} m from the sensor: is it in mm?"
                 yield Remark(self.KEY, says, "give metres in recording.json", (), Action.REFUSED)
+        tool = seen.belief.tool
+        largest = float(np.max(np.linalg.eigvalsh(tool.inertia)))
+        if 0.0 < tool.mass * CRITERIA.longest_lever**2 < largest:
+            away = np.sqrt(largest / tool.mass)
+            says = f"tool.inertia of {largest:.4g} kg m^2 has {tool.mass:.4g} kg {away:.3g} m away: is it in kg cm^2 or kg mm^2?"
+            yield Remark(self.KEY, says, "give kg m^2 about the centre of mass in recording.json", (), Action.REFUSED)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Observations
@@ -100,9 +101,19 @@ def _orientations(seen: Observations) -> Iterator[tuple[str, Observations]]:
     yield "", seen
     if seen.belief.robot is not None or not seen.has_all(*ORIENTATION):
         return
-    for says, quaternions in other_quaternions(seen.matrix(*ORIENTATION)).items():
+    written = seen.matrix(*ORIENTATION)
+    for says, quaternions in other_quaternions(written).items():
         how = says.replace("are the inverse", "take base to sensor (the inverse)")
         yield f"the quaternions {how}", with_matrix(seen, ORIENTATION, quaternions)
+    yield "the quaternions are of roll and yaw that were exchanged", with_matrix(seen, ORIENTATION, _other_way(written))
+
+
+def _other_way(q: Array) -> Array:
+    """Return quaternions x y z w (N, 4) of Rz(a) Ry(b) Rx(c) where they are of Rz(c) Ry(b) Rx(a): A, B, C read as roll to yaw."""
+    there, out = np.isfinite(q).all(axis=1), q.copy()
+    angles = Rotation.from_quat(q[there]).as_euler("ZYX")
+    out[there] = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat()
+    return out
 
 
 def sensor_rotations(scene: Scene) -> Array:

@@ -146,9 +146,13 @@ def _cancelled(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) ->
     for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:
         change = np.zeros_like(bench.y)
         change[:, list(h.raw.channels)] = h.contribution(t)
-        changes.append((change - change.mean(axis=0)) / bench.noise.sigma)
-    last, size = changes[-1], float(np.linalg.norm(changes[-1]))
+        changes.append(change / bench.noise.sigma)
+    return any(undo_each_other(changes[-1], other) for other in changes[:-1])
+
+
+def undo_each_other(one: Array, other: Array) -> bool:
+    """Return whether two changes (N, C), with their means or without, cancel but for a small part of either."""
     return any(
-        float(np.linalg.norm(last + other)) < CANCELLED * min(size, float(np.linalg.norm(other)))
-        for other in changes[:-1]
+        float(np.linalg.norm(a + b)) < CANCELLED * min(float(np.linalg.norm(a)), float(np.linalg.norm(b)))
+        for a, b in ((one, other), (one - one.mean(axis=0), other - other.mean(axis=0)))
     )

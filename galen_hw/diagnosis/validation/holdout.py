@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.lack_of_fit.residual_model import Remainder
+from galen_hw.diagnosis.selection.acceptance import undo_each_other
 from galen_hw.diagnosis.stats.paired_test import Gain, paired
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged, touched
 from galen_hw.diagnosis.validation.other_recording import apply, noise_ratio, undisturbed
@@ -227,11 +229,14 @@ def _impossible(model: Model) -> list[Effect]:
 def _vague(model: Model) -> list[Hypothesis]:
     """Return effects whose parameters do not prove their names or any size, and those that patch what another one misses.
 
-    A size is two standard errors. Of several without one the least clear goes first: another one may then have its own.
+    A size is two standard errors. Of several without one the least clear goes first: another one may then have its own. What
+    two effects do is not to cancel but for a small part: then the rarer kind goes.
     """
     clear = [(model.clearness(h), k) for k, h in enumerate(model.effects)]
     if clear and min(clear)[0] < 2.0:
         return [model.effects[min(clear)[1]]]
+    if undone := _cancelled(model):
+        return undone
     effects = [
         (h, h.effect, s)
         for h, s in zip(model.parts, model.slices(), strict=True)
@@ -241,3 +246,17 @@ def _vague(model: Model) -> list[Hypothesis]:
         return []
     spread, every = np.sqrt(model.variance), [e for _, e, _ in effects]
     return [h for h, e, s in effects if e.patches(every) or not e.known(model.final[s], spread[s])]
+
+
+def _cancelled(model: Model) -> list[Hypothesis]:
+    """Return the rarer one of two effects of which each undoes nearly all that the other does; empty without such two."""
+    sigma, done = model.bench.noise.sigma, []
+    for h, s in zip(model.parts, model.slices(), strict=True):
+        if h.effect is not None:
+            change = np.zeros_like(model.bench.y)
+            change[:, list(h.raw.channels)] = h.contribution(model.final[s])
+            done.append((h, change / sigma))
+    for (one, its), (other, theirs) in combinations(done, 2):
+        if undo_each_other(its, theirs):
+            return [max((one, other), key=lambda h: h.effect.complexity)]  # type: ignore[union-attr]
+    return []
