@@ -224,12 +224,18 @@ def inverse(q: np.ndarray) -> np.ndarray:
     return q * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
+def exchanged(q: np.ndarray) -> np.ndarray:
+    """Of Rz(c) Ry(b) Rx(a) where Rz(a) Ry(b) Rx(c) was meant, as of a pendant's A, B, C."""
+    return Rotation.from_euler("ZYX", Rotation.from_quat(q).as_euler("ZYX")[:, ::-1]).as_quat()
+
+
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
         (w_first, "w first"),
         (inverse, "the inverse"),
         (lambda q: w_first(inverse(q)), "w first and take base to sensor"),
+        (exchanged, "roll and yaw that were exchanged"),
     ],
 )
 def test_the_order_of_a_quaternion_is_found(spoil: Callable[[np.ndarray], np.ndarray], says):
@@ -242,6 +248,13 @@ def test_the_order_of_a_quaternion_is_found(spoil: Callable[[np.ndarray], np.nda
     assert np.allclose(
         Rotation.from_quat(back).as_matrix(), Rotation.from_quat(matrix(original, QUATERNION)).as_matrix()
     )
+
+
+@pytest.mark.parametrize(("factor", "premises"), [(1.0, []), (1e4, ["tool_size"]), (1e6, ["tool_size"])])
+def test_an_inertia_in_other_units_is_refused(factor: float, premises: list[str]) -> None:
+    """As kg cm^2 and kg mm^2: a tool of a kilogram is no metres wide."""
+    tool = Body(MASS, COM, factor * np.diag([0.004, 0.003, 0.002]))
+    assert [r.premise for r in examined(seen(static(), tool=tool)).refused] == premises
 
 
 @settings(max_examples=20, deadline=None)

@@ -86,6 +86,18 @@ def test_nothing_is_said_of_a_tracker_that_is_right(make, predict):
     assert not examined(seen(make(), predict)).remarks
 
 
+@pytest.mark.parametrize(("make", "predict"), [(pose, "pose"), (targets, "targets")])
+def test_a_joint_that_is_counted_against_the_link_before_the_last_is_read_so(make, predict):
+    """As a pendant shows the third joint of an industrial arm."""
+    original = make()
+    tilt, roll = (original[f"joint.{n}.position"] for n in ("tilt", "roll"))
+    found = examined(seen(original | {"joint.tilt.position": tilt - roll}, predict))
+    (remark,) = found.remarks
+    assert remark.premise == "joint_reading"
+    assert "the first is added to the second" in remark.what
+    assert np.allclose(found.observations.columns["joint.tilt.position"], tilt)
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("cm", 1e2), ("inches", 1 / 0.0254)])
 def test_units_of_a_position_are_found(unit, factor):
     """The arm says how far it went."""

@@ -374,6 +374,9 @@ def _by_turns(T: Array, y: Array, R: Array, turns: int) -> tuple[float, Array, A
         x = rb - mean_Rt.T @ shift
         t = R @ shift
         points = np.einsum("nij,kj->nki", Rb, x) + pb[:, None]
+        if not np.isfinite(points).all():
+            # Of a body that never turns, points far enough away fit anything.
+            return np.inf, R, t, np.asarray(x)
         U, _, Vt = np.linalg.svd(np.einsum("nki,nkj->ij", y - y.mean(axis=(0, 1)), points - points.mean(axis=(0, 1))))
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         t = y.mean(axis=(0, 1)) - R @ points.mean(axis=(0, 1))
