@@ -67,7 +67,7 @@ def _changes(values: Array, segments: Sequence[slice]) -> Array:
     moves = steps[steps > 0.0]
     if not len(moves) or len(moves) > CRITERIA.half * len(steps) or moves.min() < CRITERIA.half * np.median(moves):
         return np.empty(0)
-    return moves
+    return np.asarray(moves)
 
 
 def _in_no_steps(moves: Array) -> bool:
