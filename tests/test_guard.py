@@ -66,6 +66,17 @@ def test_a_stall_of_the_whole_machine_is_nobodys_silence():
     assert signs.guard.blind == ""
 
 
+def test_on_a_machine_that_hears_the_motors_late_four_joint_states_without_a_sign_are_blindness():
+    """Each late one counts as 25 ms, however late: at gaps just below the controller's own time-out that is a second."""
+    for gap_ms in (60, 240):
+        signs = Signs()
+        signs.run(10 * gap_ms, step_ms=gap_ms)
+        signs.run(3 * gap_ms, core=False, step_ms=gap_ms)
+        assert signs.guard.blind == ""
+        signs.run(gap_ms, core=False, step_ms=gap_ms)
+        assert signs.guard.blind.startswith("no core for 0.1 s")
+
+
 def test_a_process_that_was_started_again_is_missed_until_it_speaks():
     """Its old signs are forgotten, which is no sign of life."""
     signs = Signs()
