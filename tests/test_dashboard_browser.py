@@ -140,3 +140,20 @@ def test_a_page_that_is_closed_stops_its_calibration(tmp_path: Path) -> None:
             page.get_by_text("pose 2 of").wait_for(timeout=LONG_MS)
         with browser_page(url) as page:
             page.get_by_text("the page that began it was closed").wait_for(timeout=LONG_MS)
+
+
+STANDING_OUT = """() => [...document.querySelectorAll(".card")].flatMap((card) =>
+  [...card.querySelectorAll("button, td, output, li, dd, p, canvas")]
+    .filter((x) => x.getBoundingClientRect().right > card.getBoundingClientRect().right + 1)
+    .map((x) => `${card.className}: ${x.outerHTML.slice(0, 80)}`))"""
+
+
+def test_nothing_stands_out_of_its_panel_at_any_width(tmp_path: Path) -> None:
+    """A laptop, both ways to hold a tablet, a phone: the bars of force and torque had lain over the tools at 1024."""
+    with dashboard(tmp_path) as url, browser_page(url, viewport={"width": 1440, "height": 900}) as page:
+        page.locator("#lights li").first.wait_for(timeout=LONG_MS)
+        for width in (1440, 1101, 1100, 1024, 861, 860, 768, 561, 560, 400):
+            page.set_viewport_size({"width": width, "height": 800})
+            page.wait_for_timeout(300)  # the plots are drawn anew
+            assert page.evaluate(STANDING_OUT) == [], width
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
