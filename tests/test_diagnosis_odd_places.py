@@ -62,6 +62,29 @@ def test_a_marker_that_moves_on_the_body_is_a_step_in_the_axes_of_the_body() -> 
 
 
 @pytest.mark.inject
+def test_a_tracker_that_shifts_is_one_step_in_its_own_axes() -> None:
+    """Three numbers for all targets, wherever the arm is: nine of single channels, few rows would not pay for."""
+    still = scene("targets", np.random.default_rng(3), rows=1500)
+    rng, poses, shift = (
+        np.random.default_rng(9),
+        np.random.default_rng(2).permutation(1500)[:60],
+        np.array([-3e-4, 1.2e-3, 1e-4]),
+    )
+    after = (np.arange(len(poses)) >= 22)[:, None]
+    columns = {n: v[poses] for n, v in still.observations.columns.items() if n != "time"}
+    for k in range(3):
+        names = [f"target.{k}.position.{a}" for a in "xyz"]
+        points = still.observations.matrix(*names)[poses] + rng.normal(size=(len(poses), 3)) * 5e-5
+        columns |= dict(zip(names, (points + after * shift).T, strict=True))
+    work = diagnose(scene_of(Observations("targets", columns, None, still.belief)))
+    (found,) = work.diagnosis.findings
+    assert (work.diagnosis.verdict, found.effect) == ("explained", "step")
+    for axis, true in zip("xyz", shift, strict=True):
+        told = found.parameters[f"jump_tracker_shift_{axis}"]
+        assert abs(told.value - true) < 4.0 * told.std
+
+
+@pytest.mark.inject
 def test_a_push_that_swells_and_turns_is_one_contact_and_nothing_beside() -> None:
     """The hand holds its direction in the room while the sensor turns: a level and a bow are not its course."""
     rng, t, R = turning(3)

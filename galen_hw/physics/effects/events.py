@@ -52,7 +52,8 @@ class _Shaped(_Sought):
 class Step(_Shaped):
     """The offset jumps at a moment: r = a for t >= t0. A bump, a re-zeroing, a moved marker.
 
-    `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm.
+    `carried` names what has slipped on the arm (a target, the tool): its jump has the body's axes, and turns with the arm; or
+    the tracker, whose jump has its own axes.
     `later` holds the moments of further jumps in the same channels, to be asked together: of three none may pay alone.
     Visible with rest on both sides; not in motors' efforts, which have no zero. Confused with drift (smooth) and contact (which
     ends).

@@ -327,14 +327,19 @@ class TargetsScene(ArmScene):
 
     @once
     def slipping(self) -> list[Carried]:
-        """Return every target by itself, and the body that bears them all: shifts, and turns about their middle."""
+        """Return every target by itself, the body that bears them all (shifts, and turns about their middle), and the tracker.
+
+        A tracker, or a base, that shifts does so along its own axes, wherever the arm is.
+        """
         if self.belief.robot is None:
             return []
+        every = tuple(range(len(self.channels)))
+        shifted = np.tile(np.eye(3), (len(self), len(every) // 3, 1))
         axes, middle = self.T_sensor[:, :3, :3], self._points.mean(axis=1)
         shifts = [np.concatenate([axes[:, :, i], np.zeros_like(middle)], axis=1) for i in range(3)]
         turns = [np.concatenate([np.cross(middle, axes[:, :, i]), axes[:, :, i]], axis=1) for i in range(3)]
         whole = np.stack([self._answer(screw) for screw in shifts + turns], axis=-1)
-        return [*self._each(), Carried("targets", tuple(range(len(self.channels))), SLIPS, whole)]
+        return [*self._each(), Carried("targets", every, SLIPS, whole), Carried("tracker", every, SLIPS[:3], shifted)]
 
 
 def register(T: Array, y: Array, turns: int = 60) -> tuple[Array, Array, Array]:
