@@ -27,9 +27,9 @@ def improvement(
         i: the effect in question, None: several.
 
     Returns:
-        The gain, as a share of the excess before anything was chosen, and the share of that excess that the trial leaves, for an
-        outstanding contact while it lasts. Both in the channels where the two models differ: laws of other joints and their
-        errors say nothing of them, and what each of many joints has is a small share of all.
+        The gain, as a share of the excess before anything was chosen, and the share of that excess that the trial leaves
+        where the effect acts: in its channels, and for an outstanding contact while it lasts. Of a kind that is chosen in
+        another place both are shares of its own channels' excess: what each of many joints has is a small share of all.
     """
     bench, scorer = out.bench, out.scorer
     sigma = np.ones(bench.width) if whitened else bench.noise.sigma
@@ -46,19 +46,18 @@ def improvement(
         if whitened
         else out.initial_mean_square
     )
-    own = _channels_of(out, trial)
-    gain = paired(without, residual, begun / sigma**2 - 1.0, own=own)
+    own = list(range(bench.width)) if h is None else list(h.raw.channels)
+    another = bool(h is not None and h.effect is not None and h.effect.lasting() and h.effect.KEY in _kinds(out))
+    gain = paired(without, residual, begun / sigma**2 - 1.0, own=own if another else slice(None))
     rows = _moments(h, bench, without[:, own])
     square = np.mean(residual[rows][:, own] ** 2, axis=0)
     unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
     return gain, min(unexplained / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
-def _channels_of(out: Selection, trial: list[int]) -> list[int]:
-    """Return the channels of the effects that a trial and the chosen model do not share; all, if that is in none."""
-    library = out.scorer.library
-    differ = set(trial) ^ set(out.chosen)
-    return sorted({c for j in differ for c in library[j].raw.channels}) or list(range(out.bench.width))
+def _kinds(out: Selection) -> set[str]:
+    """Return the keys of the chosen effects."""
+    return {h.effect.KEY for h in out.hypotheses if h.effect is not None}
 
 
 def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:

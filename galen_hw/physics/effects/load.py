@@ -92,9 +92,9 @@ class Payload(Effect):
 
     @property
     def location(self) -> tuple[str, ...]:
-        """Where it sits, one body with or without its parts: what changed at a moment is beside what was there all along."""
+        """Where it sits: what changed at a moment is beside what was there all along."""
         later = () if self.since is None else ("later",)
-        return (self.KEY, self.joint, *later, *((self.by,) if self.by else ()))
+        return (*super().location, *later, *((self.by,) if self.by else ()))
 
     @property
     def remark(self) -> str:
