@@ -170,7 +170,7 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
 
     @abstractmethod
     def _running(self, identity: Found, now_ns: int) -> tuple[str, str, str]:
-        """State and detail for people while samples flow, and what to do where the state is not "ready"."""
+        """Return state and detail for people while samples flow, and what to do where the state is not "ready"."""
 
     def restore(self, state: dict[str, Any], obstacle: str) -> None:
         """See `Device.restore`."""
@@ -280,7 +280,7 @@ class WrenchSensor(Device[Wire], Generic[Wire, Found]):
         return self._reporter.status(now_ns, state, detail, self._counters, gauges, todo)
 
     def _state(self, now_ns: int) -> tuple[str, str, str]:
-        """State, detail and what to do."""
+        """Return state, detail and what to do."""
         if self._phase is Phase.OFF:
             return "stopped", "", ""
         if self._phase is Phase.FAILED:

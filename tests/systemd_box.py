@@ -20,11 +20,11 @@ ExecStart=
 ExecStart=/opt/galen-hw/bin/galen-hw run --virtual --config /etc/galen-hw/galen.toml
 Environment=PYTHONPATH=/opt/sources LD_LIBRARY_PATH=/opt/python/lib
 """
-"""What differs in the box: the robot is virtual, and the environment is made of the tests' own."""
+"""Changes the unit for the box: the robot is virtual, and the environment is made of the tests' own."""
 
 
 def obstacle() -> str:
-    """Why no systemd can be started here; empty if it can be tried."""
+    """Return why no systemd can be started here; empty if it can be tried."""
     if os.geteuid() != 0:
         return "only root may make the namespaces"
     missing = [name for name in ("unshare", "nsenter", "pivot_root", "systemctl") if shutil.which(name) is None]
@@ -52,7 +52,7 @@ class Box:
         return self.run("systemctl", "show", "galen-hw", "-p", name, "--value").stdout.strip()
 
     def reaches(self, state: str, seconds: float) -> bool:
-        """Whether the service comes to be "active", "inactive" or "failed" in time."""
+        """Return whether the service comes to be "active", "inactive" or "failed" in time."""
         return within(seconds, lambda: self.show("ActiveState") == state)
 
     @property

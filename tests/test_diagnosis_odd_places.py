@@ -15,10 +15,12 @@ from physics_scenes import scene
 from galen_hw.diagnosis.detection import spectral_lines
 from galen_hw.diagnosis.pipeline import diagnose
 from galen_hw.diagnosis.stats.sampling import Rows
+from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.events import Vibration
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.observations import Belief, Observations
 from galen_hw.physics.rigid import Body
+from galen_hw.physics.scenes.base import Scene
 
 
 def turning(seed: int, rows: int = 3000, rate: float = 50.0) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
@@ -37,26 +39,36 @@ def seen(t: np.ndarray, R: np.ndarray, wrench: np.ndarray, rng: np.random.Genera
     return Observations("wrench", columns, None, Belief(tool=Body(MASS, COM), dynamic=False, bias_free=True))
 
 
+def jumped(rng: np.random.Generator, jumps: np.ndarray, rows: np.ndarray, *, clock: bool) -> Scene:
+    """Three tracked targets, read to 50 um in some rows (M,) of a motion, that jump by (M, 3, 3) m."""
+    still = scene("targets", np.random.default_rng(3), rows=1500)
+    columns = {n: v[rows] for n, v in still.observations.columns.items() if clock or n != "time"}
+    for k in range(3):
+        names = [f"target.{k}.position.{a}" for a in "xyz"]
+        points = still.observations.matrix(*names)[rows] + rng.normal(size=(len(rows), 3)) * 5e-5
+        columns |= dict(zip(names, (points + jumps[:, k]).T, strict=True))
+    return scene_of(Observations("targets", columns, None, still.belief))
+
+
+def step_found(work: Work, carried: str, jump: np.ndarray) -> None:
+    """The one finding is a step of what is carried, by (3,) m."""
+    (found,) = work.diagnosis.findings
+    assert (work.diagnosis.verdict, found.effect) == ("explained", "step")
+    for axis, true in zip("xyz", jump, strict=True):
+        told = found.parameters[f"jump_{carried}_shift_{axis}"]
+        assert abs(told.value - true) < 4.0 * told.std
+        assert told.std < 5e-5
+
+
 @pytest.mark.inject
 def test_a_marker_that_moves_on_the_body_is_a_step_in_the_axes_of_the_body() -> None:
     """Its jump turns with the arm: no offset of a channel says what it does."""
     still = scene("targets", np.random.default_rng(3), rows=1500)
     moment, slip = 41.3, np.array([0.0, 6e-4, -2e-4])
-    rng, after = np.random.default_rng(8), (still.time >= moment)[:, None]
-    columns = dict(still.observations.columns)
-    axes = still.T_sensor[:, :3, :3]  # type: ignore[attr-defined]
-    for k in range(3):
-        names = [f"target.{k}.position.{a}" for a in "xyz"]
-        points = still.observations.matrix(*names) + rng.normal(size=(len(still), 3)) * 5e-5
-        moved = points + after * (axes @ slip) * (k == 1)
-        columns |= dict(zip(names, moved.T, strict=True))
-    work = diagnose(scene_of(Observations("targets", columns, None, still.belief)))
-    (found,) = work.diagnosis.findings
-    assert (work.diagnosis.verdict, found.effect) == ("explained", "step")
-    for axis, true in zip("xyz", slip, strict=True):
-        told = found.parameters[f"jump_target.1_shift_{axis}"]
-        assert abs(told.value - true) < 4.0 * told.std
-        assert told.std < 2e-5
+    jumps = np.zeros((1500, 3, 3))
+    jumps[:, 1] = (still.time >= moment)[:, None] * (still.T_sensor[:, :3, :3] @ slip)  # type: ignore[attr-defined]
+    work = diagnose(jumped(np.random.default_rng(8), jumps, np.arange(1500), clock=True))
+    step_found(work, "target.1", slip)
     (step,) = [h.effect for h in work.model.effects]
     assert abs(step.moment - moment) < 0.5  # type: ignore[union-attr]
 
@@ -64,24 +76,9 @@ def test_a_marker_that_moves_on_the_body_is_a_step_in_the_axes_of_the_body() -> 
 @pytest.mark.inject
 def test_a_tracker_that_shifts_is_one_step_in_its_own_axes() -> None:
     """Three numbers for all targets, wherever the arm is: nine of single channels, few rows would not pay for."""
-    still = scene("targets", np.random.default_rng(3), rows=1500)
-    rng, poses, shift = (
-        np.random.default_rng(9),
-        np.random.default_rng(2).permutation(1500)[:60],
-        np.array([-3e-4, 1.2e-3, 1e-4]),
-    )
-    after = (np.arange(len(poses)) >= 22)[:, None]
-    columns = {n: v[poses] for n, v in still.observations.columns.items() if n != "time"}
-    for k in range(3):
-        names = [f"target.{k}.position.{a}" for a in "xyz"]
-        points = still.observations.matrix(*names)[poses] + rng.normal(size=(len(poses), 3)) * 5e-5
-        columns |= dict(zip(names, (points + after * shift).T, strict=True))
-    work = diagnose(scene_of(Observations("targets", columns, None, still.belief)))
-    (found,) = work.diagnosis.findings
-    assert (work.diagnosis.verdict, found.effect) == ("explained", "step")
-    for axis, true in zip("xyz", shift, strict=True):
-        told = found.parameters[f"jump_tracker_shift_{axis}"]
-        assert abs(told.value - true) < 4.0 * told.std
+    rows, shift = np.random.default_rng(2).permutation(1500)[:60], np.array([-3e-4, 1.2e-3, 1e-4])
+    jumps = np.where(np.arange(60)[:, None, None] >= 22, shift, 0.0) * np.ones((60, 3, 3))
+    step_found(diagnose(jumped(np.random.default_rng(9), jumps, rows, clock=False)), "tracker", shift)
 
 
 @pytest.mark.inject

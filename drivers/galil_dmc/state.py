@@ -81,7 +81,7 @@ class GalilState:
 
     @property
     def todo(self) -> str:
-        """What an operator does about what is latched; empty where nothing is."""
+        """Return what an operator does about what is latched; empty where nothing is."""
         if self.estop:
             return f"release it, then {self._axes.again}"
         return f"remove the cause, then {self._axes.again}" if self.latched else ""

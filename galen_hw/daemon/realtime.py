@@ -45,7 +45,7 @@ def share_one_core(priority: int) -> None:
     cores = os.sched_getaffinity(0)
     if priority < 2 or len(cores) < 2:
         return
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, zmq.ZMQError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
         os.sched_setaffinity(0, {max(cores)})
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()

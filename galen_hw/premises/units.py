@@ -42,7 +42,7 @@ class ToolSize:
         largest = float(np.max(np.linalg.eigvalsh(tool.inertia)))
         if 0.0 < tool.mass * CRITERIA.longest_lever**2 < largest:
             away = np.sqrt(largest / tool.mass)
-            says = f"tool.inertia of {largest:.4g} kg m^2 has {tool.mass:.4g} kg {away:.3g} m away: is it in kg cm^2 or kg mm^2?"
+            says = f"tool.inertia of {largest:.4g} kg m^2 is {tool.mass:.4g} kg at {away:.3g} m: is it in kg cm^2 or kg mm^2?"
             yield Remark(self.KEY, says, "give kg m^2 about the centre of mass in recording.json", (), Action.REFUSED)
 
 

@@ -21,7 +21,7 @@ TARE: Final = "if nothing touches the tool, tare it"
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known of everything at one time; see `Health`.
+    """Hold what is known of everything at one time; see `Health`.
 
     Args:
         todos: what each source says is to be done about itself, empty where it says nothing.

@@ -148,6 +148,12 @@ class Hypothesis:
         more = [x[:, list(self.raw.channels)] for x in (self.nonlinear, self.interaction) if x is not None]
         return np.asarray(sum(more, self.raw.values @ theta))
 
+    def change(self, theta: Array, width: int) -> Array:
+        """Return the same in all channels (M, width), zero where it does not act."""
+        out = np.zeros((len(self.raw.values), width))
+        out[:, list(self.raw.channels)] = self.contribution(theta)
+        return out
+
     def pinned_gain(self, scene: Scene, A: Array, r: Array) -> float | None:
         """Return the gain at the one value its parameters can have, from inner products; None where they are free.
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis, with_parameters
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, place_of, with_parameters
 from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.normal_equations import Scorer
@@ -47,17 +47,21 @@ def improvement(
         else out.initial_mean_square
     )
     own = list(range(bench.width)) if h is None else list(h.raw.channels)
-    another = bool(h is not None and h.effect is not None and h.effect.lasting() and h.effect.KEY in _kinds(out))
-    gain = paired(without, residual, begun / sigma**2 - 1.0, own=own if another else slice(None))
+    gain = paired(without, residual, begun / sigma**2 - 1.0, own=own if _is_elsewhere(out, h) else slice(None))
     rows = _moments(h, bench, without[:, own])
     square = np.mean(residual[rows][:, own] ** 2, axis=0)
     unexplained = float(np.sum(square[square > CRITERIA.noise_alone] - 1.0) * np.mean(rows))
     return gain, min(unexplained / gain.excess, 1.0) if gain.excess > 0.0 else 0.0
 
 
-def _kinds(out: Selection) -> set[str]:
-    """Return the keys of the chosen effects."""
-    return {h.effect.KEY for h in out.hypotheses if h.effect is not None}
+def _is_elsewhere(out: Selection, h: Hypothesis | None) -> bool:
+    """Return whether a lasting effect's kind is chosen in another place."""
+    if h is None or h.effect is None or not h.effect.lasting():
+        return False
+    places = {
+        place_of(one.effect) for one in out.hypotheses if one.effect is not None and one.effect.KEY == h.effect.KEY
+    }
+    return bool(places - {place_of(h.effect)})
 
 
 def _moments(h: Hypothesis | None, bench: Bench, without: Array) -> Mask:
@@ -141,12 +145,9 @@ def _cancelled(bench: Bench, scorer: Scorer, chosen: list[int], theta: Array) ->
 
     Two large errors that happen to cancel are less likely than none: only the difference of their nonlinear parts fits the data.
     """
-    changes = []
-    for h, t in list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]:
-        change = np.zeros_like(bench.y)
-        change[:, list(h.raw.channels)] = h.contribution(t)
-        changes.append(change / bench.noise.sigma)
-    return any(undo_each_other(changes[-1], other) for other in changes[:-1])
+    effects = list(with_parameters(scorer.parts(chosen), theta))[len(scorer.base) :]
+    *others, last = (h.change(t, bench.width) / bench.noise.sigma for h, t in effects)
+    return any(undo_each_other(last, other) for other in others)
 
 
 def undo_each_other(one: Array, other: Array) -> bool:

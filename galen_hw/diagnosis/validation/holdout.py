@@ -250,13 +250,10 @@ def _vague(model: Model) -> list[Hypothesis]:
 
 def _cancelled(model: Model) -> list[Hypothesis]:
     """Return the rarer one of two effects of which each undoes nearly all that the other does; empty without such two."""
-    sigma, done = model.bench.noise.sigma, []
-    for h, s in zip(model.parts, model.slices(), strict=True):
-        if h.effect is not None:
-            change = np.zeros_like(model.bench.y)
-            change[:, list(h.raw.channels)] = h.contribution(model.final[s])
-            done.append((h, change / sigma))
-    for (one, its), (other, theirs) in combinations(done, 2):
-        if undo_each_other(its, theirs):
-            return [max((one, other), key=lambda h: h.effect.complexity)]  # type: ignore[union-attr]
-    return []
+    each = [
+        (h.effect.complexity, h, h.change(model.final[s], model.bench.width) / model.bench.noise.sigma)
+        for h, s in zip(model.parts, model.slices(), strict=True)
+        if h.effect is not None
+    ]
+    pairs = (pair for pair in combinations(each, 2) if undo_each_other(pair[0][2], pair[1][2]))
+    return [max(pair, key=lambda one: one[0])[1] for pair in pairs][:1]
