@@ -287,7 +287,7 @@ class Worker:
         problems, todos = [e.problem for e in errors], [e.todo for e in errors if e.todo]
         old, self._old_before = sum(self.host.old.values()) - self._old_before, sum(self.host.old.values())
         if old:
-            problems.append(f"{old} messages too old to be used: the computer is too slow or too busy")
+            problems.append(f"{old} message{'s' * (old > 1)} too old to be used: the computer is too slow or too busy")
             todos.append("end what else runs on this machine")
         ready = not old and all(p.state == "open" for p in self._ports)
         self._link.publish(

@@ -181,7 +181,7 @@ def residual_figure(result: Result) -> "Figure":
             ax.set_xlabel("pose, in order" if rows.time is None else "time in the sweep, s")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5)
-    figure.suptitle("What the recommended fit leaves, pose by pose")
+    figure.suptitle("Residual of the recommended fit, pose by pose")
     return figure
 
 
