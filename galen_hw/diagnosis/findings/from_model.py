@@ -22,6 +22,7 @@ from galen_hw.diagnosis.selection.search_state import Selection
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.validation.judgement import ELSEWHERE, Judged
 from galen_hw.diagnosis.validation.verdict import COMES_AND_GOES, FEW_SAMPLES, NOTHING_ELSEWHERE
+from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Glitches
 from galen_hw.physics.scenes.base import Scene
 
@@ -108,10 +109,11 @@ def _parameters(model: Model, h: Hypothesis, s: slice, prefix: str, number: int)
         values["frequency"], wandering = mean_frequency(model, h, line)
         searched["frequency"] = float(np.hypot(searched["frequency"], wandering))
     named = zip(effect.parameters(bench.scene), model.final[s], np.sqrt(variance), strict=True)
+    joints = effect.joints or tuple(joint_of(bench.scene.channels[c]) for c in h.raw.channels)
     mark = prefix or (f"{number + 1}: " if number else "")
-    out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, effect.joints, p.unit)) for p, v, d in named}
+    out = {f"{mark}{p.name}": Value(float(v), float(d), _unit(bench.scene, joints, p.unit)) for p, v, d in named}
     for name, value in values.items():
-        unit = _unit(bench.scene, effect.joints, effect.searched_unit(name))
+        unit = _unit(bench.scene, joints, effect.searched_unit(name))
         out[f"{mark}{name}"] = Value(value, searched[name], unit)
     if effect.jump is not None:
         out[f"{mark}moment"] = Value(float(effect.jump), 0.0, "s")

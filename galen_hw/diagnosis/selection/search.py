@@ -102,13 +102,20 @@ def _look(out: Selection) -> None:
     bench, scorer = out.bench, out.scorer
     _forget_superseded(out)
     fresh = [s for s in sought(bench, scorer, out.chosen) if not known(bench, scorer, s.effect)]
-    scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh])
+    scorer.append([bench.hypothesis(s.effect, s.trials) for s in fresh] + [*map(bench.hypothesis, _partners(out))])
     limits_updated(out)
     steps_relocated(out)
     out.turn.significant = []
     out.turn.scores, highest = scorer.scores(out.chosen, surrogates=True)
     out.needed = max(out.needed, threshold(highest, CRITERIA.chance))
     out.first = out.first or out.turn.scores
+
+
+def _partners(out: Selection) -> list[Effect]:
+    """Return what the chosen effects name as what may be beside them, but for forms that are in the library."""
+    known = {(h.effect.family, *h.effect.searched()) for h in out.scorer.library if h.effect is not None}
+    named = [one for h in out.hypotheses if h.effect is not None for one in h.effect.partners(out.bench.scene)]
+    return [one for one in named if (one.family, *one.searched()) not in known]
 
 
 def _forget_superseded(out: Selection) -> None:

@@ -51,6 +51,7 @@ class Selection:
         clocked: how often all timing effects of a model, by the families of its effects, were tested at once.
         tightened: models whose spring was already compared with a tendon.
         regrouped: models of which two effects were already compared with others in their place.
+        enriched: families of effects whose richer forms were brought to their optimum once.
         initial_errors: (n, C) squared cross-validated errors of the training rows before anything was chosen.
     """
 
@@ -63,6 +64,7 @@ class Selection:
     clocked: Counter[frozenset[object]] = field(default_factory=Counter)
     tightened: set[frozenset[object]] = field(default_factory=set)
     regrouped: set[frozenset[object]] = field(default_factory=set)
+    enriched: set[object] = field(default_factory=set)
     initial_errors: Array = field(default_factory=lambda: np.empty((0, 0)))
     turn: Turn = field(default_factory=Turn)
 

@@ -77,8 +77,8 @@ class Filter(Timing):
     """A clock that answers slowly: it smooths what it delivers, by a constant that is searched."""
 
     @abstractmethod
-    def filtered(self, scene: Scene, x: Array) -> Array:
-        """Return the output (N, m) of the filter for signals (N, m) that all go through it."""
+    def followed(self, scene: Scene, x: Array) -> Array:
+        """Return the output (N, m) of the filter for what is simulated (N, m), all of which goes through it."""
 
 
 class Shift(Timing):
@@ -87,5 +87,11 @@ class Shift(Timing):
     SHIFT = True
 
     @abstractmethod
-    def lagging(self, constant: float, shortest: float, damping: float | None = None) -> Filter:
-        """Return what answers slowly where this one is late, all of it, by a constant, s, with a damping of the second order."""
+    def lagging(
+        self, constant: float, shortest: float, damping: float | None = None, speed_limit: float | None = None
+    ) -> Filter:
+        """Return what answers slowly where this one is late, all of it, by a constant, s.
+
+        Args:
+            constant, shortest: s; damping: of the second order; speed_limit: of what is no faster, unit of the channel over s.
+        """

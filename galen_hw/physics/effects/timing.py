@@ -47,9 +47,18 @@ class TimeDelay(Shift):
         if scene.observations.predict == "position" and len(scene.channels) > 1:
             yield from (cls(joint_of(name)) for name in scene.channels)
 
-    def lagging(self, constant: float, shortest: float, damping: float | None = None) -> "Lag":
+    def lagging(
+        self, constant: float, shortest: float, damping: float | None = None, speed_limit: float | None = None
+    ) -> "Lag":
         """Return what answers slowly where this one is late, all of it."""
-        return Lag(constant, self.joint, shortest, whole=True, damping=damping, between=self.between)
+        return Lag(constant, self.joint, shortest, True, damping, self.between, speed_limit)
+
+    def partners(self, scene: Scene) -> Iterator["Lag"]:
+        """Yield servos with a speed limit: beside a delay that may be all that there is of a lag."""
+        shortest, several = 0.5 * spacing(scene), len(scene.channels) > 1
+        for c in self.places(scene):
+            joint = joint_of(scene.channels[c]) if several else ""
+            yield from Lag(shortest, joint, shortest, between=self.between).limited(scene)
 
     def parameters(self, scene: Scene) -> tuple[Parameter, ...]:
         """Return the delay, positive when the recording is late against the simulation."""
@@ -110,6 +119,7 @@ class Lag(Filter):
     """A first-order response: T dy/dt = w - y; y - w is `share` times that (1 for a plain first order).
 
     With `damping` z one of second order: T^2 y'' + 2 z T y' + y = w, of a servo or a filter of two poles (0.71: Butterworth).
+    With `speed_limit` v of a servo that is no faster, T dy/dt = w - y within +- T v: its supply or its profile limits it.
 
     `joint` restricts it to one joint; `whole`: the share is 1, for beside a delay it is hardly told from a shorter constant and
     runs away; `between`: see `BETWEEN`. Visible where the channels move quickly; nested with time_delay, to which it is the
@@ -117,10 +127,13 @@ class Lag(Filter):
     """
 
     KEY = "lag"
-    SAYS = "the recording follows the simulation like a filter of the first order, or of the second where a damping is given"
+    SAYS = (
+        "the recording follows the simulation like a filter of the first order, or of the second where a damping is given; "
+        "no faster than a speed limit where there is one"
+    )
     KNOWN_BY = "it is large where the signal moves quickly and dies away where it rests"
     CONFIRMED_BY = "move one joint at two speeds, with quick starts"
-    HEAD = ("constant", "damping")
+    HEAD = ("constant", "damping", "speed_limit")
     ALIKE: ClassVar = {
         "friction": "a lag and viscous friction both follow the speed",
         "creep": "creep is a lag with a long time constant",
@@ -128,13 +141,18 @@ class Lag(Filter):
     COMPLEXITY = 2
     BEHIND = ("time_delay",)
     """s + D (L s - s) + (D s - s) = D L s: a late clock delivers what the filter gives."""
-    SEARCHED: ClassVar = {"constant": Searched(1e-4, 1e3, "s"), "damping": Searched(0.1, 0.98, "1")}
+    SEARCHED: ClassVar = {
+        "constant": Searched(1e-4, 1e3, "s"),
+        "damping": Searched(0.1, 0.98, "1"),
+        "speed_limit": Searched(1e-4, 1e2, "rad/s or m/s"),
+    }
     constant: float
     joint: str = ""
     shortest: float = 0.0
     whole: bool = False
     damping: float | None = None
     between: str = "lines"
+    speed_limit: float | None = None
 
     @property
     def swings(self) -> bool:
@@ -154,8 +172,33 @@ class Lag(Filter):
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
         """Return it with another constant, not below the shortest that can be told from a delay, or damping."""
-        constant = max(values.get("constant", self.constant), self.shortest)
-        return replace(self, constant=constant, damping=values.get("damping", self.damping))
+        found = super().with_searched(values)
+        return replace(found, constant=max(found.constant, self.shortest))
+
+    def richer(self, scene: Scene, *, slower: tuple[float, ...] = (1.0, 0.3, 0.1)) -> Iterator[Self]:
+        """Yield it with a speed limit: far from the command all that is late may come of that, and the constant be short.
+
+        Args:
+            slower: shares of the constant that are tried with each limit.
+        """
+        if self.speed_limit is None:
+            for share in slower:
+                constant = max(share * self.constant, self.shortest)
+                yield from replace(self, constant=constant, damping=None).limited(scene)
+
+    def limited(self, scene: Scene, *, shares: tuple[float, ...] = (0.05, 0.15, 0.5)) -> Iterator[Self]:
+        """Yield it with limits of the speed, of positions.
+
+        Args:
+            shares: of the fastest that it is without one.
+        """
+        places = list(self.places(scene))
+        if scene.observations.predict != "position" or len({scene.units[c] for c in places}) > 1:
+            return
+        steps = np.diff(scene.time)[:, None]
+        moved = np.abs(np.diff(self.filtered(scene, scene.simulated[:, places]), axis=0))
+        fastest = float(np.max(np.divide(moved, steps, out=np.zeros_like(moved), where=steps > 0.0)))
+        yield from (replace(self, speed_limit=share * fastest) for share in shares if fastest > 0.0)
 
     def beginning(self, scene: Scene, theta: Array, others: Sequence[Effect]) -> Beginning:
         """Return what the filter held. Of second order two numbers a channel would be free: enough to make one of a delay."""
@@ -184,26 +227,36 @@ class Lag(Filter):
         """Return lagged less simulated."""
         places = self.places(scene)
         mine = scene.simulated[:, places]
-        return Columns(places, (self.filtered(scene, mine) - mine)[:, :, None])
+        return Columns(places, (self.followed(scene, mine) - mine)[:, :, None])
+
+    def followed(self, scene: Scene, x: Array) -> Array:
+        """Return what follows signals (N, m), with its speed limit."""
+        if self.speed_limit is None:
+            return self.filtered(scene, x)
+        return scene.limited_lag("limited", x, self.constant, self.speed_limit, held=held_over(scene, self.between))
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """Return signals (N, m) as this stream delivers them."""
         return x + float(theta[0]) * (self.filtered(scene, x) - x)
 
     def filtered(self, scene: Scene, x: Array) -> Array:
-        """Return signals (N, m) behind the filter."""
+        """Return signals (N, m) behind the filter, of whatever speed: small ones on top of what is simulated."""
         if self.damping is not None:
             return second_order(scene, x, self.constant, self.damping, self.between)
         return first_order(scene, x, self.constant, self.between)
 
 
+def held_over(scene: Scene, between: str) -> bool:
+    """Return whether signals stand from row to row."""
+    return scene.commanded or between == "steps"
+
+
 def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
     """Return signals (N, m) behind a lag, see `BETWEEN`; commands stand."""
-    held = scene.commanded or between == "steps"
-    return scene.lag("lag", x, constant, held=held, bowed=between == "bows")
+    return scene.lag("lag", x, constant, held=held_over(scene, between), bowed=between == "bows")
 
 
 def second_order(scene: Scene, x: Array, constant: float, damping: float, between: str) -> Array:
     """Return signals (N, m) behind a lag of second order."""
     straight = scene.straightened("bow", x) if between == "bows" else x
-    return scene.second_order("lag", straight, constant, damping, held=scene.commanded or between == "steps")
+    return scene.second_order("lag", straight, constant, damping, held=held_over(scene, between))

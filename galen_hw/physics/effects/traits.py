@@ -283,6 +283,11 @@ class Traits(Words):
         del others
         return False
 
+    def partners(self, scene: Scene) -> Iterator["Effect"]:
+        """Yield what may be there beside it: asked only where it is in the model."""
+        del scene
+        yield from ()
+
     def starts(self, scene: Scene, theta: Array) -> list[tuple["Effect", Array]]:
         """Return what is sought from it with its parameters theta (k,), and parameters to begin the search with.
 

@@ -16,6 +16,7 @@ from galen_hw.physics.operators.filters import (
     evenly,
     impulse,
     lag,
+    limited_lag,
     play,
     second_order,
 )
@@ -90,6 +91,13 @@ class Operated:
         # Behind a gap nobody knows; it had time to settle.
         start = [np.zeros(x.shape[1:]), *(None for _ in self.segments[1:])] if empty else None
         return self._carried(name, x, run, start)
+
+    def limited_lag(self, name: Any, x: Array, constant: float, speed: float, *, held: bool = False) -> Array:
+        """Return the lag of (N, m) inputs over the clock of what moves no faster than a speed, see `filters.limited_lag`."""
+        c = np.full(x.shape[1], constant)
+        return self._carried(
+            name, x, lambda part, state: limited_lag(self.time[part], x[part], c, speed, state, held=held)
+        )
 
     def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
         """Return the second-order response of (N, m) inputs over the clock, see `filters.second_order`."""

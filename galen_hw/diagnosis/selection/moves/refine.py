@@ -1,7 +1,5 @@
 """Richer forms of a chosen effect, where these are supported."""
 
-from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.moves.course import followed
@@ -30,7 +28,7 @@ def enriched(out: Selection) -> bool:
         if effect is None or not (_nests(effect) or forms):
             continue
         others = [j for j in out.chosen if j != i]
-        _grown(bench, scorer, others, forms)
+        _grown(out, others, forms)
         scores, _ = scorer.scores(others)
         kin = [j for j in scores if i in scores and _same_kind(scorer.library[j].effect, effect) and j != i]
         best: dict[object, int] = {}
@@ -45,16 +43,18 @@ def enriched(out: Selection) -> bool:
     return changed
 
 
-def _grown(bench: Bench, scorer: Scorer, others: list[int], forms: list[Effect]) -> None:
-    """Add richer forms of one effect to the library, the best of them at its optimum, unless it has any."""
-    known = {(h.effect.family, *h.effect.searched()) for h in scorer.library if h.effect is not None}
-    if not forms or (forms[0].family, *forms[0].searched()) in known:
+def _grown(out: Selection, others: list[int], forms: list[Effect]) -> None:
+    """Add richer forms of one effect to the library that it has not, the best of them at its optimum: once in a search."""
+    if not forms or (forms[0].family, *forms[0].searched()) in out.enriched:
         return
+    out.enriched.add((forms[0].family, *forms[0].searched()))
+    scorer, known = out.scorer, {h.effect: i for i, h in enumerate(out.scorer.library) if h.effect is not None}
     first = len(scorer.library)
-    scorer.append([bench.hypothesis(one) for one in forms])
-    scores = scorer.scores(others, list(range(first, len(scorer.library))))[0]
+    scorer.append([out.bench.hypothesis(one) for one in forms if one not in known])
+    asked = [*(known[one] for one in forms if one in known), *range(first, len(scorer.library))]
+    scores = scorer.scores(others, asked)[0]
     if scores:
-        polished(bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
+        polished(out.bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
 
 
 def _nests(effect: Effect) -> bool:

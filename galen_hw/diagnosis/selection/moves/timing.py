@@ -93,13 +93,19 @@ def _sought(
     # Friction of a servo contains the servo's lag, and is removed with it.
     friction = [e for i in chosen if (e := scorer.library[i].effect) is not None and _has_clock(e)]
     others = [i for i in chosen if i not in old and scorer.library[i].effect not in friction]
-    swings = any("damping" in e.searched() for i in old if (e := scorer.library[i].effect) is not None)
+    before = [(e.joints, e.searched()) for i in old if (e := scorer.library[i].effect) is not None]
+    swings = any("damping" in values for _, values in before)
+    limits = {joints: values["speed_limit"] for joints, values in before if "speed_limit" in values}
     none = bench.y + sum((b for i in old if (b := scorer.library[i].nonlinear) is not None), np.zeros_like(bench.y))
     with scorer.against(none):
         given = ConditionalGain(bench, scorer, others)
     for ends in groups:
         mine = [tuple(one for one in friction if e.joint in ("", *one.joints)) for e in ends]
-        searches = [ClockSearch(bench, given, e, some, swings) for e, some in zip(ends, mine, strict=True)]
+        fastest = [limits.get(e.joints, limits.get(())) for e in ends]
+        searches = [
+            ClockSearch(bench, given, e, some, swings, limit)
+            for e, some, limit in zip(ends, mine, fastest, strict=True)
+        ]
         clocks = [clock for search in searches for clock in search.best_interpolation()]
         yield clocks, {one: other for search in searches for one, other in search.replacements.items()}
 

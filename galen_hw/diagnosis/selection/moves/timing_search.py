@@ -11,7 +11,7 @@ from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.levenberg_marquardt import ConditionalGain
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.physics.effects.base import Effect
-from galen_hw.physics.effects.clocks import BETWEEN, Shift, Timing
+from galen_hw.physics.effects.clocks import BETWEEN, Filter, Shift, Timing
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.parameters import log_grid, spacing
 from galen_hw.spatial import Array
@@ -42,7 +42,7 @@ class ClockSearch:
     """Search for the best of nothing, a delay, a lag, and a delay of what lags, where `delay` acts, given other effects.
 
     `friction`: of servos, with the lag's constant and delay; `replacements`: the same at the best timing. `swings`: a lag of
-    second order is in the model already.
+    second order is in the model already. `speed_limit`: of the lag in the model, which the search keeps.
     """
 
     bench: Bench
@@ -50,6 +50,7 @@ class ClockSearch:
     delay: Shift
     friction: tuple[Effect, ...]
     swings: bool
+    speed_limit: float | None = None
 
     def __post_init__(self) -> None:
         self.places = self.delay.places(self.bench.stream)
@@ -97,14 +98,15 @@ class ClockSearch:
             (most - self.penalty, [(self.delay, all_late)]),
         ]
         for constant in log_grid(self.shortest, 2.0 * all_late, CONSTANTS):
-            lag = self.delay.lagging(constant, self.shortest)
+            lag = self._lag(constant)
             candidates.append((self._gain(0.0, constant) - self.penalty, [(lag, constant)]))
             most, late = self._latest(constant, (0.0, all_late))
             candidates.append((most - 2.0 * self.penalty - CRITERIA.log_odds, [(self.delay, late), (lag, constant)]))
         clocks = self._plainer(self._refined(max(candidates, key=lambda one: one[0])[1], all_late), all_late)
         # A response of second order looks like a delay, or a delay and a lag; friction of a servo has a lag of first order. In
         # one joint by itself two more parameters would explain what the other joints show to be something else.
-        if self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
+        limited = self.speed_limit is not None
+        if limited or self.friction or self.delay.joint or all_late <= 0.0 or not (self.swings or clocks):
             return clocks
         required = self.penalised_gain(clocks) + (0.0 if self.swings else CRITERIA.log_odds)
         swinging = self._swinging(all_late, required)
@@ -115,7 +117,7 @@ class ClockSearch:
         if len(clocks) < 2 or self.friction:
             return clocks
         (_, late), (_, constant) = clocks
-        lag = self.delay.lagging(constant + late, self.shortest)
+        lag = self._lag(constant + late)
         alone = self._refined([(lag, constant + late)], all_late)
         return alone if self.penalised_gain(alone) + CRITERIA.log_odds >= self.penalised_gain(clocks) else clocks
 
@@ -154,7 +156,11 @@ class ClockSearch:
         if delays and not self.friction and constant <= SHORTEST * self.shortest:
             # The shortest lag is a part of the delay.
             return [(self.delay, self._latest(0.0, (0.0, 2.0 * all_late))[1])] if all_late > 0.0 else clocks[:-1]
-        return [*((end, late) for end, _ in delays), (self.delay.lagging(constant, self.shortest), constant)]
+        return [*((end, late) for end, _ in delays), (self._lag(constant), constant)]
+
+    def _lag(self, constant: float) -> Filter:
+        """Return the lag of this constant, s, no faster than that in the model."""
+        return self.delay.lagging(constant, self.shortest, speed_limit=self.speed_limit)
 
     def _swinging(self, all_late: float, required: float) -> Clocks:
         """Return the best lag of second order; damping and constant are correlated, and optimised together.
@@ -214,10 +220,10 @@ class ClockSearch:
         """Return the simulated channels (N, m) through servos with this constant (s), cached for other delays."""
         x, stream = self.simulated, self.bench.stream
         if damping is not None:
-            return self.delay.lagging(constant, self.shortest, damping).filtered(stream, x)
+            return self.delay.lagging(constant, self.shortest, damping).followed(stream, x)
         key = (constant, band_factor, friction)
         if key not in self.lagged:
-            y = self.delay.lagging(constant, self.shortest).filtered(stream, x) if constant > 0.0 else x
+            y = self._lag(constant).followed(stream, x) if constant > 0.0 else x
             for one in friction:
                 stands = _with_lag(one, constant, band_factor).columns(self.bench.scene)
                 y = y + Columns(stands.channels, stands.values[:, :, :1]).full(self.bench.width)[:, self.places, 0]
