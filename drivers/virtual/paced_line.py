@@ -51,11 +51,6 @@ class PacedLine:
         self._queue.clear()
         self._free_ns = 0
 
-    @property
-    def free_ns(self) -> int:
-        """When everything put so far has arrived."""
-        return self._free_ns
-
     def next_ns(self, now_ns: int) -> int | None:
         """When it pays to look again: when the queue is through, at most 2 ms from now; None while it is empty."""
         if not self._queue:

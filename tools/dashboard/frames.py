@@ -9,7 +9,6 @@ import msgspec
 
 LARGEST_FRAME: Final = 1024
 """Bytes of a frame from a page; the connection of who sends more is closed."""
-LONGEST_WORD: Final = 64
 
 
 class _Frame(msgspec.Struct, tag_field="do", forbid_unknown_fields=True, frozen=True):

@@ -13,7 +13,6 @@ from galen_hw.physics.scenes.pose import APPLIED, PoseScene
 from galen_hw.spatial import Array
 
 SATURATED_SHARE = 0.02
-LEAST_REVERSALS = 2
 
 
 @dataclass(frozen=True)
