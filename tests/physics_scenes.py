@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from galen_hw.diagnosis.estimation.candidate import identity_of
 from galen_hw.kinematics import GalenRobot
 from galen_hw.physics.effects.cable import CableDrag
 from galen_hw.physics.effects.clocks import BETWEEN
@@ -111,4 +112,4 @@ def proposals(group, static=False):
     found += clocks if made.clock else []
     found += [richer for e in found for richer in e.richer(made)]
     found += [Glitches((first,), (3, 9))] + ([TorqueRipple("elbow", 9.0)] if group == "effort" else [])
-    return made, list({(e.family, *e.searched()): e for e in found}.values())
+    return made, list({identity_of(e): e for e in found}.values())

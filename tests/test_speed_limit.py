@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from galen_hw import diagnose, read_recording
-from galen_hw.physics.operators.filters import lag, limited_lag
+from galen_hw.physics.operators.filters import lag
+from galen_hw.physics.operators.speed_limit import limited_lag
 
 STEP = 0.01
 
@@ -58,12 +59,12 @@ def test_it_is_never_faster_and_may_be_cut_anywhere(rows, constant, limit, seed,
     """Rows one by one give what all of them give."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.0, 0.05, rows))
-    x, T = rng.normal(size=(rows, 2)), np.full(2, constant)
-    whole, _ = limited_lag(t, x, T, limit, None, held=held)
+    x = rng.normal(size=(rows, 2))
+    whole, _ = limited_lag(t, x, constant, limit, None, held=held)
     assert np.all(np.abs(np.diff(whole, axis=0)) <= limit * np.diff(t)[:, None] + 1e-12)
     state, parts = None, []
     for i in range(rows):
-        one, state = limited_lag(t[i : i + 1], x[i : i + 1], T, limit, state, held=held)
+        one, state = limited_lag(t[i : i + 1], x[i : i + 1], constant, limit, state, held=held)
         parts.append(one)
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12)
 
@@ -73,8 +74,10 @@ def test_without_reaching_its_limit_it_is_a_lag(held):
     """On an uneven clock too."""
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.002, 0.02, 300))
-    x, T = np.sin(t)[:, None] * [1.0, 2.0], np.array([0.03, 0.3])
-    np.testing.assert_allclose(limited_lag(t, x, T, 10.0, None, held=held)[0], lag(t, x, T, None, held=held)[0])
+    x = np.sin(t)[:, None] * [1.0, 2.0]
+    for T in (0.03, 0.3):
+        free, _ = lag(t, x, np.full(2, T), None, held=held)
+        np.testing.assert_allclose(limited_lag(t, x, T, 10.0, None, held=held)[0], free)
 
 
 def test_it_follows_the_differential_equation():
@@ -82,7 +85,7 @@ def test_it_follows_the_differential_equation():
     t = np.arange(0.0, 12.0, STEP)
     target = commanded(t)
     exact = moved(lambda now: np.interp(now, t, target), t, 0.08, 1.1, 0.0)
-    mine, _ = limited_lag(t, target[:, None], np.array([0.08]), 1.1, None)
+    mine, _ = limited_lag(t, target[:, None], 0.08, 1.1, None)
     # Once a limit begins or ends inside a step the two differ by less than what a step makes.
     assert np.max(np.abs(mine[:, 0] - exact)) < 0.3 * 1.1 * STEP
     assert np.mean(np.abs(np.diff(exact)) > 0.99 * 1.1 * STEP) > 0.1

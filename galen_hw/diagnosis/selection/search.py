@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from galen_hw.diagnosis.estimation.candidate import Hypothesis
+from galen_hw.diagnosis.estimation.candidate import Hypothesis, identity_of
 from galen_hw.diagnosis.estimation.cross_validation import cross_validated
 from galen_hw.diagnosis.estimation.dataset import Bench
 from galen_hw.diagnosis.estimation.interactions import retime, settle_together
@@ -112,10 +112,10 @@ def _look(out: Selection) -> None:
 
 
 def _partners(out: Selection) -> list[Effect]:
-    """Return what the chosen effects name as what may be beside them, but for forms that are in the library."""
-    known = {(h.effect.family, *h.effect.searched()) for h in out.scorer.library if h.effect is not None}
+    """Return the partners that the chosen effects name, of identities that are not in the library."""
+    known = {identity_of(h.effect) for h in out.scorer.library}
     named = [one for h in out.hypotheses if h.effect is not None for one in h.effect.partners(out.bench.scene)]
-    return [one for one in named if (one.family, *one.searched()) not in known]
+    return [one for one in named if identity_of(one) not in known]
 
 
 def _forget_superseded(out: Selection) -> None:

@@ -51,7 +51,7 @@ class Selection:
         clocked: how often all timing effects of a model, by the families of its effects, were tested at once.
         tightened: models whose spring was already compared with a tendon.
         regrouped: models of which two effects were already compared with others in their place.
-        enriched: families of effects whose richer forms were brought to their optimum once.
+        enriched: identities of effects of which the best was brought to its optimum as a richer form.
         initial_errors: (n, C) squared cross-validated errors of the training rows before anything was chosen.
     """
 

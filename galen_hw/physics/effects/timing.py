@@ -51,7 +51,8 @@ class TimeDelay(Shift):
         self, constant: float, shortest: float, damping: float | None = None, speed_limit: float | None = None
     ) -> "Lag":
         """Return what answers slowly where this one is late, all of it."""
-        return Lag(constant, self.joint, shortest, True, damping, self.between, speed_limit)
+        plain = Lag(constant, self.joint, shortest, whole=True, between=self.between)
+        return replace(plain, damping=damping, speed_limit=speed_limit)
 
     def partners(self, scene: Scene) -> Iterator["Lag"]:
         """Yield servos with a speed limit: beside a delay that may be all that there is of a lag."""
@@ -171,7 +172,7 @@ class Lag(Filter):
                 yield from (cls(constant, joint_of(name), shortest) for name in scene.channels)
 
     def with_searched(self, values: Mapping[str, float]) -> Self:
-        """Return it with another constant, not below the shortest that can be told from a delay, or damping."""
+        """Return it at another point of the search, the constant not below the shortest that can be told from a delay."""
         found = super().with_searched(values)
         return replace(found, constant=max(found.constant, self.shortest))
 
@@ -230,17 +231,20 @@ class Lag(Filter):
         return Columns(places, (self.followed(scene, mine) - mine)[:, :, None])
 
     def followed(self, scene: Scene, x: Array) -> Array:
-        """Return what follows signals (N, m), with its speed limit."""
+        """Return what follows simulated signals (N, m), with its speed limit."""
         if self.speed_limit is None:
             return self.filtered(scene, x)
-        return scene.limited_lag("limited", x, self.constant, self.speed_limit, held=held_over(scene, self.between))
+        straight = straightened(scene, x, self.between)
+        return scene.limited_lag(
+            "limited", straight, self.constant, self.speed_limit, held=held_over(scene, self.between)
+        )
 
     def retimed(self, scene: Scene, x: Array, theta: Array) -> Array:
         """Return signals (N, m) as this stream delivers them."""
         return x + float(theta[0]) * (self.filtered(scene, x) - x)
 
     def filtered(self, scene: Scene, x: Array) -> Array:
-        """Return signals (N, m) behind the filter, of whatever speed: small ones on top of what is simulated."""
+        """Return small signals (N, m), on top of what is simulated, behind the filter: no limit holds them."""
         if self.damping is not None:
             return second_order(scene, x, self.constant, self.damping, self.between)
         return first_order(scene, x, self.constant, self.between)
@@ -251,6 +255,11 @@ def held_over(scene: Scene, between: str) -> bool:
     return scene.commanded or between == "steps"
 
 
+def straightened(scene: Scene, x: Array, between: str) -> Array:
+    """Return signals (N, m) whose straight lines between the rows stand for their parabolas, where they run along these."""
+    return scene.straightened("bow", x) if between == "bows" else x
+
+
 def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
     """Return signals (N, m) behind a lag, see `BETWEEN`; commands stand."""
     return scene.lag("lag", x, constant, held=held_over(scene, between), bowed=between == "bows")
@@ -258,5 +267,4 @@ def first_order(scene: Scene, x: Array, constant: float, between: str) -> Array:
 
 def second_order(scene: Scene, x: Array, constant: float, damping: float, between: str) -> Array:
     """Return signals (N, m) behind a lag of second order."""
-    straight = scene.straightened("bow", x) if between == "bows" else x
-    return scene.second_order("lag", straight, constant, damping, held=held_over(scene, between))
+    return scene.second_order("lag", straightened(scene, x, between), constant, damping, held=held_over(scene, between))

@@ -171,37 +171,6 @@ def _lag_evenly(
     return out
 
 
-def limited_lag(
-    time: Array, x: Array, constant: Array, speed: float, state: LagState | None, *, held: bool = False
-) -> tuple[Array, LagState]:
-    """Return the lag of what moves no faster than a speed: T dy/dt = x - y within +- T times the speed.
-
-    A position servo whose supply or profile limits its speed. Exact while it is free, and while it is at the limit.
-
-    Args:
-        time: (N,) s.
-        x: (N, m) inputs.
-        constant: (m,) time constants T, s.
-        speed: above zero, in the unit of x over s.
-        state: what the last row left; None: the output starts at the first input.
-        held: see `lag`.
-    """
-    before = time[0] if state is None else state.time
-    start, last = (x[0], x[0]) if state is None else (state.output, state.input)
-    steps = np.maximum(np.diff(np.concatenate([[before], time])), 0.0)
-    kept, earlier, now = lagging(steps[:, None], constant, held=held)
-    driven = earlier * np.concatenate([last[None], x[:-1]]) + now * x
-    gone, most = 1.0 - kept, (speed * steps).tolist()
-    out = np.empty_like(x, dtype=float)
-    for j, first in enumerate(start.tolist()):
-        y, at = first, []
-        for share, new, reach in zip(gone[:, j].tolist(), driven[:, j].tolist(), most, strict=True):
-            y += min(max(new - share * y, -reach), reach)
-            at.append(y)
-        out[:, j] = at
-    return out, LagState(float(time[-1]), out[-1].copy(), x[-1].copy())
-
-
 @dataclass(frozen=True)
 class ImpulseState:
     """Last time (s), last sum and last input of an integral over the clock."""

@@ -16,11 +16,11 @@ from galen_hw.physics.operators.filters import (
     evenly,
     impulse,
     lag,
-    limited_lag,
     play,
     second_order,
 )
 from galen_hw.physics.operators.gap_dynamics import gap
+from galen_hw.physics.operators.speed_limit import limited_lag
 from galen_hw.physics.operators.stick_slip_servo import ServoState, servo
 from galen_hw.spatial import Array
 
@@ -93,11 +93,12 @@ class Operated:
         return self._carried(name, x, run, start)
 
     def limited_lag(self, name: Any, x: Array, constant: float, speed: float, *, held: bool = False) -> Array:
-        """Return the lag of (N, m) inputs over the clock of what moves no faster than a speed, see `filters.limited_lag`."""
-        c = np.full(x.shape[1], constant)
-        return self._carried(
-            name, x, lambda part, state: limited_lag(self.time[part], x[part], c, speed, state, held=held)
-        )
+        """Return servos with a speed limit, of (N, m) inputs over the clock, see `speed_limit.limited_lag`."""
+
+        def run(part: slice, state: Any) -> tuple[Array, LagState]:
+            return limited_lag(self.time[part], x[part], constant, speed, state, held=held)
+
+        return self._carried(name, x, run)
 
     def second_order(self, name: Any, x: Array, constant: float, damping: float, *, held: bool = False) -> Array:
         """Return the second-order response of (N, m) inputs over the clock, see `filters.second_order`."""

@@ -1,5 +1,6 @@
 """Richer forms of a chosen effect, where these are supported."""
 
+from galen_hw.diagnosis.estimation.candidate import identity_of
 from galen_hw.diagnosis.selection.acceptance import pays, plausible
 from galen_hw.diagnosis.selection.comparison import polished
 from galen_hw.diagnosis.selection.moves.course import followed
@@ -44,15 +45,14 @@ def enriched(out: Selection) -> bool:
 
 
 def _grown(out: Selection, others: list[int], forms: list[Effect]) -> None:
-    """Add richer forms of one effect to the library that it has not, the best of them at its optimum: once in a search."""
-    if not forms or (forms[0].family, *forms[0].searched()) in out.enriched:
+    """Add richer forms of one effect to the library, and the best of them at its optimum: once in a search."""
+    if not forms or identity_of(forms[0]) in out.enriched:
         return
-    out.enriched.add((forms[0].family, *forms[0].searched()))
-    scorer, known = out.scorer, {h.effect: i for i, h in enumerate(out.scorer.library) if h.effect is not None}
-    first = len(scorer.library)
+    out.enriched.add(identity_of(forms[0]))
+    scorer = out.scorer
+    known = {h.effect for h in scorer.library}
     scorer.append([out.bench.hypothesis(one) for one in forms if one not in known])
-    asked = [*(known[one] for one in forms if one in known), *range(first, len(scorer.library))]
-    scores = scorer.scores(others, asked)[0]
+    scores = scorer.scores(others, [i for i, h in enumerate(scorer.library) if h.effect in forms])[0]
     if scores:
         polished(out.bench, scorer, others, max(scores, key=lambda j: scores[j].rank), LIMITS.forms)
 
