@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import subspace_angles
 
 from galen_hw.diagnosis.estimation.dataset import Bench
-from galen_hw.diagnosis.findings.localisation import organised, regions
+from galen_hw.diagnosis.findings.localisation import baseline_residual, organised, regions
 from galen_hw.diagnosis.findings.variables import Variable, variables
 from galen_hw.diagnosis.identifiability.experiment import Pair, best_of, next_experiment, options_of
 from galen_hw.diagnosis.identifiability.motions import recipes
@@ -17,6 +18,7 @@ from galen_hw.diagnosis.identifiability.rivals import rivals
 from galen_hw.diagnosis.identifiability.simulate import NoiseMetric, projected_out, stage
 from galen_hw.diagnosis.selection.comparison import without_timing
 from galen_hw.physics.effects.base import Effect
+from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.drift import Drift, Temperature
 from galen_hw.physics.effects.load import Payload
 from galen_hw.physics.effects.registry import effect_class, kinds
@@ -207,3 +209,15 @@ def test_all_words_are_of_the_vocabulary() -> None:
     told = {kind.KEY for kind in kinds() if kind.KNOWN_BY != Effect.KNOWN_BY}
     assert all(kind.SAYS for kind in kinds())
     assert told | {"unknown", "glitches"} == {kind.KEY for kind in kinds()}
+
+
+def test_what_fades_at_a_beginning_is_not_told_of_rows_that_no_fit_uses() -> None:
+    """Before the first row in use it would grow without bound."""
+    rows = np.arange(60)
+    whole, used = np.ones((60, 1)), rows >= 5
+    faded = SimpleNamespace(raw=Columns((0,), np.exp(-2.0 * rows)[:, None, None]))
+    bench = SimpleNamespace(whole=whole, width=1, train=used, excluded_rows=~used)
+    residual = baseline_residual(SimpleNamespace(bench=bench, nuisances=[faded]))  # type: ignore[arg-type]
+    assert abs(residual[5, 0]) < 0.2  # one number is free, and that row has most of it
+    assert_allclose(residual[:5], np.tile(residual[5], (5, 1)))
+    assert_allclose(residual[12:], 1.0, atol=1e-5)

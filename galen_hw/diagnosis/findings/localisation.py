@@ -77,13 +77,19 @@ def where_of(model: Model, *, least: float = 0.5) -> list[dict[str, Any]]:
 
 
 def baseline_residual(model: Model) -> Array:
-    """Return the residual (M, C) of the baseline, its nuisances fitted by least squares on the training rows."""
+    """Return the residual (M, C) of the baseline, its nuisances fitted by least squares on the training rows.
+
+    Rows that no fit uses have the nuisances of the next that one does: what fades at a beginning grows without bound before it.
+    """
     bench, parts = model.bench, model.nuisances
     if not parts:
         return bench.whole
     columns = np.concatenate([h.raw.full(bench.width) for h in parts], axis=2)
     X = columns[bench.train].reshape(-1, columns.shape[2])
-    return np.asarray(bench.whole - columns @ np.linalg.lstsq(X, bench.whole[bench.train].reshape(-1), rcond=1e-9)[0])
+    fitted = columns @ np.linalg.lstsq(X, bench.whole[bench.train].reshape(-1), rcond=1e-9)[0]
+    used = np.flatnonzero(~bench.excluded_rows)
+    following = np.minimum(np.searchsorted(used, np.arange(len(fitted))), len(used) - 1)
+    return np.asarray(bench.whole - fitted[used[following]])
 
 
 def regions(bench: Bench, known: list[Variable], energy: Array, *, most: int = 3) -> list[Region]:

@@ -147,7 +147,7 @@ def plane(traces: Traces) -> bytes | None:
             mesh = ax.pcolormesh(*edges, image.T, cmap="magma_r", vmin=0.8, vmax=max(top, 1.6), rasterized=True)
             ax.set(title=title, xlabel=_named(name_a, unit_a))
         left.set_ylabel(_named(name_b, unit_b))
-        figure.colorbar(mesh, ax=[left, right], label="rms over what is left, all channels", shrink=0.9)
+        figure.colorbar(mesh, ax=[left, right], label="rms over that of the residual after, all channels", shrink=0.9)
         return svg(figure)
 
 
