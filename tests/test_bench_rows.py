@@ -13,6 +13,7 @@ from galen_hw.diagnosis.estimation.normal_equations import Scorer
 from galen_hw.diagnosis.findings.quantities import readable
 from galen_hw.diagnosis.identifiability.motions import recipes
 from galen_hw.diagnosis.lack_of_fit.basis_functions import Inputs
+from galen_hw.diagnosis.stats.aliasing import Aliases
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.effects.registry import scene_of
 from galen_hw.physics.effects.sensor import Gain
@@ -70,9 +71,12 @@ def test_a_line_has_its_frequency_whatever_rows_are_averaged(stride: int) -> Non
     case = Bench(5, rows=8000, rate=200.0)
     scene = scene_of(case.observations())
     rows = Rows(tuple(scene.segments), stride)
-    hum = rows.average(np.sin(2.0 * np.pi * 4.3 * scene.time))[:, None] * np.ones(6)
-    rest = hum + 0.1 * np.random.default_rng(1).normal(size=hum.shape)
-    found = [one.effect.line(scene) for one in lines(scene, rest, rows)]
+    hum = np.sin(2.0 * np.pi * 4.3 * scene.time)[:, None] * np.ones(6)
+    rest = rows.average(hum) + 0.1 * np.random.default_rng(1).normal(size=(len(rows), 6))
+    columns = dict(scene.observations.columns) | dict(zip(WRENCH, (scene.simulated + hum).T, strict=True))
+    heard = scene_of(replace(scene.observations, columns=columns))
+    aliases = Aliases(heard, rows, np.zeros(len(scene), dtype=bool))
+    found = [one.effect.line(scene) for one in lines(scene, rest, rows, aliases)]
     assert found
     assert all(isinstance(line, Line) for line in found)
     # A twentieth of a cycle over the recording.

@@ -14,6 +14,7 @@ from physics_scenes import scene
 
 from galen_hw.diagnosis.detection import spectral_lines
 from galen_hw.diagnosis.pipeline import diagnose
+from galen_hw.diagnosis.stats.aliasing import Aliases
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.work import Work
 from galen_hw.physics.effects.events import Vibration
@@ -135,12 +136,16 @@ def test_a_line_that_may_wander_as_far_as_it_is_high_is_no_vibration() -> None:
     made = scene_of(seen(t, R, hanging(R), rng))
     rest = rng.normal(size=(len(t), 6)) + np.sin(2.0 * np.pi * 11.0 * t)[:, None]
     runs = Rows((slice(0, len(t)),))
-    for found in (spectral_lines.lines(made, rest, runs), spectral_lines.lines(made, rest, runs, narrow=0.02)):
+    aliases = Aliases(made, runs, np.zeros(len(t), dtype=bool))
+    for narrow in (0.1, 0.02):
+        found = spectral_lines.lines(made, rest, runs, aliases, narrow=narrow)
         hums = [one.effect for one in found]
         assert all(isinstance(h, Vibration) and h.breadth(made) <= 0.1 * h.frequency for h in hums)
         assert any(abs(h.frequency - 11.0) < 0.1 for h in hums)  # type: ignore[union-attr]
     slow = 8.0 * np.sin(2.0 * np.pi * 4.0 * t)[:, None] + rng.normal(size=(len(t), 6))
     wanders = {
-        one.effect.wander for one in spectral_lines.lines(made, slow, runs) if abs(one.effect.frequency - 4.0) < 0.1
+        one.effect.wander
+        for one in spectral_lines.lines(made, slow, runs, aliases)
+        if abs(one.effect.frequency - 4.0) < 0.1
     }  # type: ignore[attr-defined]
     assert wanders == {0, 5}

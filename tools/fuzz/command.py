@@ -15,6 +15,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -137,6 +138,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=1e9, help="a target ends after so long, whatever its inputs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--target", action="append", metavar="NAME", help="only this one; may be repeated")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="targets at a time (default: every core)"
+    )
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table there")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
@@ -145,11 +149,12 @@ def main(argv: list[str] | None = None) -> int:
     from galen_hw.tools.fuzz.targets import TARGETS  # a process of its own has it instrumented by then
 
     results = []
-    for name in args.target or TARGETS:
-        results.append(_run_apart(name, args))
-        print(_row(results[-1]), flush=True)
-        if results[-1]["find"]:
-            print(results[-1]["find"], results[-1]["input"], sep="\n", flush=True)
+    with ThreadPoolExecutor(args.workers) as pool:
+        for result in pool.map(lambda name: _run_apart(name, args), args.target or TARGETS):
+            results.append(result)
+            print(_row(result), flush=True)
+            if result["find"]:
+                print(result["find"], result["input"], sep="\n", flush=True)
     if args.write:
         engine = "atheris (coverage-guided)" if _atheris() else "mutations of our own (atheris is not installed)"
         capped = f", {args.seconds:g} s at most" if args.seconds < 1e9 else ""

@@ -6,6 +6,7 @@ import numpy as np
 
 from galen_hw.diagnosis.detection.proposal import Sought
 from galen_hw.diagnosis.noise.estimator import quantisation
+from galen_hw.diagnosis.stats.aliasing import Aliases, folded
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.physics.channels import joint_of
 from galen_hw.physics.effects.events import Vibration
@@ -19,6 +20,7 @@ def lines(
     scene: Scene,
     residual: Array,
     rows: Rows,
+    aliases: Aliases,
     known: Sequence[tuple[tuple[int, ...], Line]] = (),
     *,
     narrow: float = 0.1,
@@ -30,6 +32,7 @@ def lines(
     What is left within the breadth of a known line belongs to it: two lines so near would model each other's phase noise.
 
     Args:
+        aliases: tells which frequency of the recorded rows a line of the averaged ones has.
         known: lines with the places of their channels.
         narrow: share of its frequency that a line may reach to either side: what is broader is no narrow band (a quality
             of five).
@@ -51,7 +54,7 @@ def lines(
     dt = float(np.ptp(scene.time[rows.starts[long]])) / (n - 1)
     frequency = np.arange(len(ratio)) / (pad * dt)
     for places, line in known:
-        near = np.abs(frequency - line.frequency) < line.breadth
+        near = np.abs(frequency - folded(line.frequency, 1.0 / dt)) < line.breadth
         ratio[np.ix_(near, places)] = 0.0
     out = []
     joint = ratio.sum(axis=1)
@@ -59,12 +62,14 @@ def lines(
         (joint, scene.channels),
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
-        f = _peak(score) / (pad * dt)
-        candidates = [Vibration(tuple(names), float(f), wander) for wander in wanders]
+        peak, mine = _peak(score), [scene.channels.index(name) for name in names]
+        f, strongest = peak / (pad * dt), mine[int(np.argmax(ratio[round(peak), mine]))]
+        candidates = [Vibration(tuple(names), aliases.recorded(f, strongest), wander) for wander in wanders]
         reach, widest, away = candidates[-2].breadth(scene), candidates[-1].breadth(scene), np.abs(frequency - f)
         skirt, around = (away >= reach) & (away < widest), (away >= widest) & (away < 3.0 * widest)
-        mine = power[:, [scene.channels.index(name) for name in names]]
-        if not around.any() or np.all(mine[skirt].mean(axis=0) < stands_out * mine[around].mean(axis=0)):
+        if not around.any() or np.all(
+            power[np.ix_(skirt, mine)].mean(axis=0) < stands_out * power[np.ix_(around, mine)].mean(axis=0)
+        ):
             candidates.pop()
         out += [Sought(hum, n // 2) for hum in candidates if hum.breadth(scene) <= narrow * hum.frequency]
     return out

@@ -16,6 +16,7 @@ from galen_hw.diagnosis.estimation.signal_chain import OutputStage, through
 from galen_hw.diagnosis.noise.estimator import estimate, quantisation
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.settings import BUDGET
+from galen_hw.diagnosis.stats.aliasing import Aliases
 from galen_hw.diagnosis.stats.deadline import Deadline
 from galen_hw.diagnosis.stats.linear_algebra import orthonormal, scaled, solve_sym
 from galen_hw.diagnosis.stats.sampling import Index, Mask, Rows, blocks, set_aside
@@ -77,6 +78,7 @@ class Bench:
     live_channels: int = field(init=False)
     """Number of channels with data: the others add no degree of freedom."""
     excluded_rows: Mask = field(init=False)
+    aliases: Aliases = field(init=False)
     noise: Noise = field(init=False)
     state: ModelState = field(init=False)
     known_columns: dict[Effect, Hypothesis] = field(default_factory=dict)
@@ -106,6 +108,7 @@ class Bench:
         """Exclude rows (N,) and the recording's ends from all fits; interpolate the averaged rows that contain one."""
         self.outlier_rows = outlier_rows
         scene = self.scene
+        self.aliases = Aliases(scene, self.rows, outlier_rows)
         self.invalid_rows = self.rows.spread(outlier_rows | scene.ends)
         self.excluded_rows = self.invalid_rows | self.rows.spread(scene.unanswered)
         good = np.flatnonzero(~self.invalid_rows)

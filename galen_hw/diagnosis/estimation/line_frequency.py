@@ -7,6 +7,7 @@ from scipy.stats import truncnorm
 
 from galen_hw.diagnosis.estimation.candidate import Hypothesis
 from galen_hw.diagnosis.estimation.model import Model
+from galen_hw.diagnosis.stats.aliasing import folded
 from galen_hw.physics.effects.traits import Line
 from galen_hw.spatial import Array
 
@@ -35,7 +36,7 @@ def mean_frequency(model: Model, h: Hypothesis, line: Line, *, count: int = 16) 
     turning = np.exp(-2j * np.pi * line.frequency * time[rows])
     # The residual without the fitted line contains the oscillation itself.
     residual = _alone(model, line)[rows][:, places] / bench.noise.sigma[places]
-    cycles = np.clip([line.frequency * bench.period], 1e-6, 0.5)
+    cycles = np.clip([folded(line.frequency * bench.period, 1.0)], 1e-6, 0.5)
     level = np.array([bench.noise.spectrum(cycles)[0, c] for c in places])
     weight = np.conj(np.sum(residual * turning[:, None], axis=0) / len(rows)) * bench.noise.sigma[places] ** 2 / level
     pieces = np.array_split(np.arange(len(rows)), count)

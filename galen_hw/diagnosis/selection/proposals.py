@@ -39,7 +39,7 @@ def sought(bench: Bench, scorer: Scorer, chosen: list[int]) -> list[proposal.Sou
     known_lines = [(h.raw.channels, line) for h in (scorer.library[i] for i in chosen) if (line := h.line(bench.scene))]
     return (
         found
-        + spectral_lines.lines(bench.scene, residual, bench.rows, known_lines)
+        + spectral_lines.lines(bench.scene, residual, bench.rows, bench.aliases, known_lines)
         + spectral_lines.ripples(bench.scene, residual, bench.rows, bench.noise.followed_rounding)
     )
 
@@ -54,7 +54,7 @@ def at_first_sight(bench: Bench) -> list[proposal.Sought]:
     """Return momentary effects that show in the residual itself: they must not pass for noise."""
     residual = bench.whole - np.median(bench.whole, axis=0)
     found = contacts(bench.scene, residual, bench.rows)
-    found += spectral_lines.lines(bench.scene, residual, bench.rows, narrow=np.inf)
+    found += spectral_lines.lines(bench.scene, residual, bench.rows, bench.aliases, narrow=np.inf)
     if bench.scene.observations.predict == "effort":
         # Of a wrench the premise `load_change` has asked before.
         found += steps.loads(bench.scene, residual, bench.rows)

@@ -53,7 +53,7 @@ class Rows:
 
     def average(self, x: Array) -> Array:
         """Return means (M, ...) of (N, ...) over the groups."""
-        x = self._filtered(x)
+        x = self.filtered(x)
         if self.stride == 1:
             return x
         out = np.empty((len(self), *x.shape[1:]))
@@ -72,13 +72,13 @@ class Rows:
 
         As `operators.delay` on an even clock, averaged, without interpolating each row between its neighbours.
         """
-        flat = self._filtered(x).reshape(len(x), -1)
+        flat = self.filtered(x).reshape(len(x), -1)
         parts = [
             _late(flat[part], late, self.stride, bowed=bowed) for part, late in zip(self.segments, steps, strict=True)
         ]
         return (parts[0] if len(parts) == 1 else np.concatenate(parts)).reshape(len(self), *x.shape[1:])
 
-    def _filtered(self, x: Array) -> Array:
+    def filtered(self, x: Array) -> Array:
         """Return signals (N, ...) low-passed at `cut`; a gap (NaN) is interpolated first, and stays one."""
         if not self.cut:
             return x
