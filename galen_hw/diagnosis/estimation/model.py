@@ -161,11 +161,14 @@ class Model:
     def clearness(self, h: Hypothesis) -> float:
         """Return the rms of an effect over its standard error, in the channel where it is strongest beside the noise.
 
-        What its parameters leave open to any size, for others do the same, has no size that could be told.
+        What its parameters leave open to any size, for others do the same, has no size that could be told. The part of a rounding
+        error that follows the signal is subtracted first: no average removes it where the machine stands.
         """
         power, variance = self.signal_of(h)
-        strongest = int(np.argmax(power / self.bench.noise.sigma[list(h.raw.channels)] ** 2))
-        return float(np.sqrt(power[strongest] / max(variance[strongest], 1e-300)))
+        places = list(h.raw.channels)
+        strongest = int(np.argmax(power / self.bench.noise.sigma[places] ** 2))
+        beyond = max(float(power[strongest] - self.bench.noise.blurred_rounding[places[strongest]]), 0.0)
+        return float(np.sqrt(beyond / max(variance[strongest], 1e-300)))
 
     def with_updated_laws(self) -> "Model":
         """Return the model with bound parameters re-evaluated at the estimates: a small body at its present place."""

@@ -82,8 +82,16 @@ class Noise:
 
     @property
     def followed_rounding(self) -> Array:
-        """Variance (C,) of the part of each channel's rounding error that follows its signal, which is no physics."""
+        """Variance (C,) of the part of each channel's rounding error that follows its signal, at most: it is no physics.
+
+        Blurred by what is left of the noise in the averaged rows alone, for what averages remove may be no noise of each reading.
+        """
         return followed(self.steps, self.sigma)
+
+    @property
+    def blurred_rounding(self) -> Array:
+        """The same (C,) where the noise is white: single readings are rounded, whose noise an average over rows has less of."""
+        return followed(self.steps, self.sigma * np.sqrt(self.rows.stride))
 
     @property
     def _lengths(self) -> list[int]:
