@@ -472,6 +472,34 @@ def test_a_staircase_is_interpolated():
     assert np.allclose(matrix(dict(found.observations.columns), QUATERNION), matrix(columns, QUATERNION)[:n], atol=1e-3)
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_rows_that_repeat_a_reading_are_left_out(late):
+    """A wrench at a tenth of the joints' rate, some a row early or late; also where the orientation is slow as well."""
+    columns, rng = moving(), np.random.default_rng(4)
+    fresh = np.arange(150) * 10 + rng.integers(-late, late + 1, 150) * (np.arange(150) > 0)
+    at = np.searchsorted(fresh, np.arange(1500), side="right") - 1
+    names = [n for n in columns if n.startswith("wrench.")]
+    held = {n: columns[n][fresh[at]] for n in names}
+    found = examined(seen(columns | held))
+    assert keys(found) == ["slow_readings"]
+    assert np.array_equal(found.observations.columns["time"], columns["time"][fresh])
+    assert np.array_equal(matrix(dict(found.observations.columns), names), matrix(columns, names)[fresh])
+    slower = np.clip((np.arange(1500) - 5) // 20 * 20 + 5, 0, None)
+    both = examined(seen(columns | held | {n: columns[n][slower] for n in QUATERNION}))
+    assert keys(both)[:2] == ["slow_readings", "staircase"]
+
+
+def test_readings_that_wait_for_the_next_step_of_their_grid_are_no_slower_sensor():
+    """A wrench in steps of its fifty reading, without noise, of a tool that turns evenly; and one that rests now and then."""
+    columns = moving()
+    names = [n for n in columns if n.startswith("wrench.")]
+    turning = np.linspace(0.0, 0.4, 1500)
+    coarse = {n: np.round((1.0 + 0.1 * k) * turning * 750.0) / 750.0 for k, n in enumerate(names)}
+    resting = {n: columns[n][np.minimum(np.arange(1500) % 60, 30) + np.arange(1500) // 60 * 60] for n in names}
+    for readings in (coarse, resting):
+        assert "slow_readings" not in keys(examined(seen(columns | readings)))
+
+
 def joints(n: int = 4000) -> Observations:
     """Two joints without a robot, efforts compared."""
     t = np.arange(n) / 100.0

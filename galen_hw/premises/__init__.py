@@ -32,6 +32,7 @@ PREMISES: Final = (
     "joints.WrappedJoints",
     "gaps.FilledGaps",
     "clock.ClockRate",
+    "sampling.SlowReadings",
     "sampling.Staircase",
     "held_joints.HeldJoints",
     "simulated_motion.SimulatedMotion",

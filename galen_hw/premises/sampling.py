@@ -141,14 +141,55 @@ class Staircase:
         yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, repaired.taken(np.arange(len(seen)) <= last))
 
 
+class SlowReadings:
+    """Tests for compared readings that are held for several rows: a sensor that is slower than its log.
+
+    A held reading is late by up to a period, with a saw tooth of the sensor's rate: a delay, a vibration and an unknown.
+    """
+
+    KEY: ClassVar[str] = "slow_readings"
+    STAGE: ClassVar[Stage] = Stage.CELLS
+
+    def examine(self, seen: Observations) -> Iterator[Remark]:
+        """Yield one remark; the rows that repeat a reading are left out."""
+        names = compared_names(seen)
+        if seen.time is None or not names or len(seen) < 40:
+            return
+        values = seen.matrix(*names)
+        if not np.isfinite(values).all():
+            return
+        changes = np.any(np.diff(values, axis=0) != 0.0, axis=1)
+        held = _rows_held(changes)
+        if held is None or not _off_a_grid(values[np.concatenate([[True], changes])]):
+            return
+        fresh = np.concatenate([[True], changes])
+        rate = 1.0 / float(np.median(np.diff(seen.time)))
+        what = (
+            f"{names[0].split('.')[0]} readings are held for {held} rows each, of a sensor that is slower than its log "
+            f"({rate / held:.3g} Hz in rows of {rate:.3g} Hz): {int(fresh.sum())} rows with a new reading are kept"
+        )
+        yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen.taken(fresh))
+
+
+def _off_a_grid(fresh: Array) -> bool:
+    """Return whether readings (n, C) change by more than a step of their grid: a slow signal waits for the next step as well."""
+    for column in np.abs(np.diff(fresh, axis=0)).T:
+        moved = column[column > 0.0]
+        if len(moved) and float(np.median(moved)) > 1.5 * float(np.min(moved)):
+            return True
+    return False
+
+
 def _rows_held(changes: Mask) -> int | None:
-    """Return how many rows a position stands, where nearly all do so alike; None where positions change with every row."""
+    """Return how many rows a value stands, where nearly all do so alike; None where values change with every row."""
     at = np.flatnonzero(changes)
     if len(at) < 10:
         return None
     lengths = np.diff(at)
     usual = int(np.median(lengths))
-    return usual if usual >= 2 and np.mean(np.abs(lengths - usual) <= 1) > 0.9 else None
+    # A topic's messages do not come on time to a row.
+    near = np.abs(lengths - usual) <= max(1, usual // 4)
+    return usual if usual >= 2 and np.mean(near) > 0.9 else None
 
 
 def _moves_throughout(moves: Array, changes: Mask) -> bool:
