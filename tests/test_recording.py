@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from galen_hw.errors import UsageError
+from galen_hw.formats.parquet import read as import_parquet
 from galen_hw.recording import Recording, RecordingInfo, read_recording, write_table
 from galen_hw.recording.recording import group_of, joint_column
 from galen_hw.recording.to_mcap import write_mcap
@@ -219,6 +220,21 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
     (tmp_path / "recording.json").write_text("{}")
     with pytest.raises(UsageError, match="not readable as Parquet"):
         read_recording(tmp_path)
+
+
+def test_a_column_whose_name_is_no_text_is_one_line(tmp_path: Path) -> None:
+    """A byte of its name was damaged; found by `make fuzz`."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    file = tmp_path / "recording.parquet"
+    parquet.write_table(pa.table({"time": [0.0, 1.0], "force.x": [1.0, 2.0]}), file)
+    file.write_bytes(file.read_bytes().replace(b"force.x", b"f\xc0rce.x"))
+    (tmp_path / "recording.json").write_text('{"schema": 1, "robot": null}')
+    with pytest.raises(UsageError, match="not readable as Parquet"):
+        read_recording(file)
+    with pytest.raises(UsageError, match=r"recording\.parquet"):
+        import_parquet(file)
 
 
 ODD = [

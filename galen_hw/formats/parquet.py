@@ -26,9 +26,9 @@ def read(path: Path) -> Contents:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+        frame = pq.read_table(path).to_pandas()
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise unreadable(path, error, "its index stands at the end: is the file whole?") from None
     contents = Contents()
-    contents.streams.append(stream_of_frame("", table.to_pandas(), contents))
+    contents.streams.append(stream_of_frame("", frame, contents))
     return contents

@@ -206,9 +206,11 @@ def _read_parquet(file: Path) -> dict[str, Array]:
 
     try:
         table = pq.read_table(file)
-    except (OSError, pa.ArrowException) as error:
+        written = list(table.column_names)
+    # A name that is no UTF-8 is decoded, and refused, when it is asked for.
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise UsageError(f"not readable as Parquet ({error})", where=str(file), todo="check the file") from error
-    names = _names(list(table.column_names), file)
+    names = _names(written, file)
     columns: dict[str, Array] = {}
     for name, column in zip(names, table.columns, strict=True):
         try:
