@@ -222,14 +222,16 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
         read_recording(tmp_path)
 
 
-def test_a_column_whose_name_is_no_text_is_one_line(tmp_path: Path) -> None:
-    """A byte of its name was damaged; found by `make fuzz`."""
+@pytest.mark.parametrize(("whole", "damaged"), [(b"force.x", b"f\xc0rce.x"), (b"\x16\x04\x19", b"\x16\x06\x19")])
+def test_a_damaged_parquet_file_is_one_line(tmp_path: Path, whole: bytes, damaged: bytes) -> None:
+    """A byte of a column's name, and the number of its rows, of which its parts have fewer; found by `make fuzz`."""
     import pyarrow as pa
     from pyarrow import parquet
 
     file = tmp_path / "recording.parquet"
     parquet.write_table(pa.table({"time": [0.0, 1.0], "force.x": [1.0, 2.0]}), file)
-    file.write_bytes(file.read_bytes().replace(b"force.x", b"f\xc0rce.x"))
+    assert whole in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(whole, damaged))
     (tmp_path / "recording.json").write_text('{"schema": 1, "robot": null}')
     with pytest.raises(UsageError, match="not readable as Parquet"):
         read_recording(file)

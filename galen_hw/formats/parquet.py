@@ -6,6 +6,7 @@ from typing import Final
 from galen_hw.extras import need
 from galen_hw.formats.contents import Contents, Head, unreadable
 from galen_hw.formats.frames import stream_of_frame
+from galen_hw.recording.parquet_file import parquet_table
 
 MAGIC: Final = b"PAR1"
 
@@ -23,10 +24,9 @@ def read(path: Path) -> Contents:
     """
     need("import", str(path), "pyarrow", "pandas")
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        frame = pq.read_table(path).to_pandas()
+        frame = parquet_table(path).to_pandas()
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise unreadable(path, error, "its index stands at the end: is the file whole?") from None
     contents = Contents()

@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from galen_hw.physics.observations import Observations
 from galen_hw.premises.base import Action, Remark, Stage, with_columns, without_columns
 from galen_hw.premises.cells import Mask
+from galen_hw.premises.criteria import CRITERIA
 from galen_hw.spatial import Array
 
 APART: Final = 0.02
@@ -159,10 +160,10 @@ class SlowReadings:
         if not np.isfinite(values).all():
             return
         changes = np.any(np.diff(values, axis=0) != 0.0, axis=1)
-        held = _rows_held(changes)
-        if held is None or not _off_a_grid(values[np.concatenate([[True], changes])]):
-            return
         fresh = np.concatenate([[True], changes])
+        held = _rows_held(changes)
+        if held is None or not _change_by_any_size(values[fresh]):
+            return
         rate = 1.0 / float(np.median(np.diff(seen.time)))
         what = (
             f"{names[0].split('.')[0]} readings are held for {held} rows each, of a sensor that is slower than its log "
@@ -171,13 +172,10 @@ class SlowReadings:
         yield Remark(self.KEY, what, "", tuple(names), Action.REPAIRED, seen.taken(fresh))
 
 
-def _off_a_grid(fresh: Array) -> bool:
-    """Return whether readings (n, C) change by more than a step of their grid: a slow signal waits for the next step as well."""
-    for column in np.abs(np.diff(fresh, axis=0)).T:
-        moved = column[column > 0.0]
-        if len(moved) and float(np.median(moved)) > 1.5 * float(np.min(moved)):
-            return True
-    return False
+def _change_by_any_size(fresh: Array) -> bool:
+    """Return whether readings (n, C) change as noise does, and not by steps: a slow signal waits for the next step as well."""
+    moves = [column[column > 0.0] for column in np.abs(np.diff(fresh, axis=0)).T]
+    return any(len(one) and float(np.min(one)) < CRITERIA.half * float(np.median(one)) for one in moves)
 
 
 def _rows_held(changes: Mask) -> int | None:

@@ -16,6 +16,7 @@ from galen_hw.errors import UsageError
 from galen_hw.extras import need
 from galen_hw.recording.checks import check
 from galen_hw.recording.info import INFO, RecordingInfo, read_info
+from galen_hw.recording.parquet_file import parquet_table
 from galen_hw.recording.recording import Recording
 from galen_hw.spatial import Array
 
@@ -202,15 +203,12 @@ def _bad_cell(rest: str, names: list[str], file: Path, error: Exception) -> Usag
 def _read_parquet(file: Path) -> dict[str, Array]:
     need("import", str(file), "pyarrow")
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(file)
-        written = list(table.column_names)
-    # A name that is no UTF-8 is decoded, and refused, when it is asked for.
+        table = parquet_table(file)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise UsageError(f"not readable as Parquet ({error})", where=str(file), todo="check the file") from error
-    names = _names(written, file)
+    names = _names(list(table.column_names), file)
     columns: dict[str, Array] = {}
     for name, column in zip(names, table.columns, strict=True):
         try:

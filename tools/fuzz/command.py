@@ -101,7 +101,8 @@ def run_one(name: str, inputs: int, seconds: float, seed: int) -> None:
     corpus = Path(tempfile.mkdtemp(prefix="galen-hw-corpus-"))  # libFuzzer wants a folder, and never returns
     for number, content in enumerate(target.seeds):
         (corpus / str(number)).write_bytes(content)
-    bounds = [f"-max_len={LONGEST}", f"-rss_limit_mb={MOST_DATA >> 20}"]
+    # What it finds stands in the answer; its own copies would lie about in the working folder.
+    bounds = [f"-max_len={LONGEST}", f"-rss_limit_mb={MOST_DATA >> 20}", f"-artifact_prefix={corpus}/found-"]
     atheris.Setup([sys.argv[0], str(corpus), *bounds, f"-seed={seed}", "-verbosity=0"], watched)
     atheris.Fuzz()
 

@@ -24,7 +24,7 @@ class Aliases:
     of 32 Hz shows at 18 Hz in rows averaged to 50 a second.
 
     Args:
-        scene: the recording; rows: its averages; left_out: (N,) rows that no fit uses, interpolated here.
+        scene: the recording; rows: its averages; left_out: (N,) rows of outliers, interpolated here as those that were not read.
     """
 
     scene: Scene
@@ -73,13 +73,13 @@ class Aliases:
         if self.rows.stride == 1:
             return [np.empty(0) for _ in self.scene.channels]
         residual = self.rows.filtered(self.scene.residual)
-        good = np.flatnonzero(~self.left_out[self._longest])
         at = np.arange(self._longest.stop - self._longest.start)
         cycles = np.fft.rfftfreq(len(at))
         passed = (np.sinc(self.rows.stride * cycles) / np.sinc(cycles)) ** 2
         out = []
-        for column in np.nan_to_num(residual[self._longest]).T:
-            x = np.interp(at, good, column[good]) if len(good) else column
+        for column in residual[self._longest].T:
+            good = np.flatnonzero(np.isfinite(column) & ~self.left_out[self._longest])
+            x = np.interp(at, good, column[good]) if len(good) else np.zeros(len(at))
             power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)))) ** 2
             out.append((passed * power).astype(np.float32))
         return out
