@@ -222,9 +222,11 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
         read_recording(tmp_path)
 
 
-@pytest.mark.parametrize(("whole", "damaged"), [(b"force.x", b"f\xc0rce.x"), (b"\x16\x04\x19", b"\x16\x06\x19")])
+@pytest.mark.parametrize(
+    ("whole", "damaged"), [(b"force.x", b"f\xc0rce.x"), (b"\x16\x04\x19", b"\x16\x06\x19"), (b"\x16\x04", b"\x16\x06")]
+)
 def test_a_damaged_parquet_file_is_one_line(tmp_path: Path, whole: bytes, damaged: bytes) -> None:
-    """A byte of a column's name, and the number of its rows, of which its parts have fewer; found by `make fuzz`."""
+    """A byte of a column's name, and the number of its rows, of which it has fewer, in its head alone and in every part."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -1,4 +1,4 @@
-"""Reads Parquet, once the file's parts agree on how long it is."""
+"""Reads Parquet with memory for what a file holds, not for what it claims."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +16,12 @@ def parquet_table(file: Path) -> "pa.Table":
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    # Memory is reserved for as many rows as each group claims, whatever the file holds: a damaged byte asks for gigabytes.
-    head = pq.read_metadata(file)
-    rows = sum(head.row_group(k).num_rows for k in range(head.num_row_groups))
-    if rows != head.num_rows:
-        raise pa.ArrowInvalid(f"of {head.num_rows} rows its parts have {rows}")
-    table = pq.read_table(file)
+    with pq.ParquetFile(file) as content:
+        # Read at once, memory is reserved for as many rows as the head claims, and fewer in the file are no error (pyarrow 26).
+        table = pa.Table.from_batches(content.iter_batches(), content.schema_arrow)
+        claimed = content.metadata.num_rows
+    if table.num_rows != claimed:
+        raise pa.ArrowInvalid(f"of {claimed} rows it holds {table.num_rows}")
     # Names are decoded when they are asked for: one that is no UTF-8 is refused here.
     list(table.column_names)
     return table
