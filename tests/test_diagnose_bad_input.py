@@ -307,10 +307,16 @@ def empty_cells(c: Columns) -> None:
     c["joint.roll.position"][[40, 41]] = np.nan
 
 
+def empty_stretch(c: Columns) -> None:
+    """Longer than a motion can be guessed over."""
+    c["wrench.force.z"][200:320] = np.nan
+
+
 NOTED: dict[Callable[[Columns], None], tuple[str, ...]] = {
     repeated_and_backward: ("repeats or runs backwards in 3 rows",),
     one_leap: ("repeats or runs backwards in 1 rows",),
     gap: ("1 gaps, the longest of 3.6e+03 s",),
+    empty_stretch: ("120 rows have no value to compare", "time has 1 gaps"),
     empty_cells: ("2 rows have no joint position", "3 rows have no value to compare"),
 }
 

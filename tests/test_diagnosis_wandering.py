@@ -58,6 +58,19 @@ def test_noise_that_forgets_is_no_drift_but_told(memory: float) -> None:
     assert seen(diagnosis) > 3.0 * seen(plain)
 
 
+def test_noise_that_forgets_is_no_step_where_the_recording_has_gaps() -> None:
+    """No run is long enough by itself to show how slow the noise is: all together are."""
+    keeps = np.exp(-1.0 / (RATE * 2.0))
+    slow = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], np.random.default_rng(6).normal(size=(ROWS, 6)), axis=0)
+    bench = Bench(33, ROWS, RATE)
+    bench.noise += 0.5 * bench.noise.std(axis=0) * slow
+    whole = bench.observations()
+    kept = whole.taken(np.flatnonzero((bench.t % 20.0 < 6.0) | (bench.t % 20.0 > 9.0)))
+    diagnosis = diagnose(scene_of(kept)).diagnosis
+    assert (diagnosis.verdict, [f.effect for f in diagnosis.findings]) == ("agrees", [])
+    assert any("gaps, the longest of 3.04 s" in note for note in diagnosis.notes)
+
+
 def seen(diagnosis: Diagnosis) -> float:
     """The smallest effect that would have been seen in force z, N."""
     note = next(n for n in diagnosis.notes if n.startswith("an effect of this rms"))

@@ -21,7 +21,7 @@ from galen_hw.diagnosis.detection.steps import _jumps
 from galen_hw.diagnosis.estimation.dataset import Bench as DiagnosisBench
 from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.noise.estimator import estimate
-from galen_hw.diagnosis.noise.low_frequency import plateaus, whitest
+from galen_hw.diagnosis.noise.low_frequency import deviances, plateaus, whitest
 from galen_hw.diagnosis.noise.spectrum import Noise
 from galen_hw.diagnosis.stats.sampling import Rows
 from galen_hw.diagnosis.validation.other_recording import noise_ratio
@@ -191,6 +191,33 @@ def test_a_touch_too_weak_for_its_single_samples_names_the_channels_that_feel_it
     rest[n // 3 : n // 3 + n // 50, :2] += 1.2
     found = [s.effect.channels for s in contacts(scene, rest, Rows(tuple(scene.segments)))]
     assert scene.channels[:2] in [tuple(names) for names in found]
+
+
+@pytest.mark.parametrize("runs", [(3000,), (1200, 1800), (1000, 500, 1500)])
+def test_noise_with_a_memory_passes_for_jumps_and_jumps_do_not_pass_for_it(runs):
+    """A staircase of six jumps that fits slow noise best is worth less than that noise; a jump in white noise is worth more."""
+    rng, rows = np.random.default_rng(8), sum(runs)
+    ends = np.cumsum([0, *runs]).tolist()
+    parts_ = [slice(a, b) for a, b in itertools.pairwise(ends)]
+    keeps = np.exp(-1.0 / 60.0)
+    slow = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], rng.normal(size=rows)) + rng.normal(size=rows)
+    edges = [0, rows]
+    for _ in range(6):
+        gains = {}
+        for k in range(20, rows - 20, 5):
+            a, b = max(e for e in edges if e <= k), min(e for e in edges if e > k)
+            if k > a:
+                gains[k] = (k - a) * (b - k) / (b - a) * (slow[a:k].mean() - slow[k:b].mean()) ** 2
+        edges = sorted([*edges, max(gains, key=lambda k: gains[k])])
+    stairs = np.concatenate([np.full(b - a, slow[a:b].mean()) for a, b in itertools.pairwise(edges)])
+    after = np.arange(rows) >= rows // 3
+    jump = rng.normal(size=rows) + 1.0 * after
+    level = np.where(after, jump[after].mean(), jump[~after].mean())
+    residuals = np.stack([slow - slow.mean(), slow - stairs, jump - jump.mean(), jump - level], axis=-1)
+    as_noise, with_stairs, as_noise_too, with_jump = deviances(residuals, parts_, 30.0 / (2.0 * np.pi * rows))
+    one = np.log(rows) + 2.0 * np.log(rows / 4.0)
+    assert as_noise - with_stairs < 6.0 * one
+    assert as_noise_too - with_jump > one
 
 
 def test_what_has_humps_is_no_noise_with_a_corner():

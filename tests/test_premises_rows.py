@@ -113,6 +113,18 @@ def test_commands_that_are_speeds_are_refused() -> None:
     assert "commanded_rates" not in keys(examined(commanded("position")))
 
 
+def test_a_simulation_that_ends_before_the_recording_is_asked_as_far_as_it_goes() -> None:
+    """Rows beyond its end have no value; a joint's motion is then the simulated one."""
+    one = commanded("position")
+    simulated = {n: one.columns[n.replace("position", "command")].copy() for n in one.columns if n.endswith("position")}
+    for values in simulated.values():
+        values[-40:] = np.nan
+    assert not examined(replace(one, simulation=simulated)).refused
+    backwards = {n: values[-41::-1] for n, values in simulated.items()}
+    padded = {n: np.append(values, np.full(40, np.nan)) for n, values in backwards.items()}
+    assert [r.premise for r in examined(replace(one, simulation=padded)).refused] == ["row_match"]
+
+
 def test_positions_exported_twice_are_refused_where_a_speed_belies_them() -> None:
     t, q = motion()
     one = efforts(q, t)

@@ -54,6 +54,16 @@ def test_a_line_faster_than_the_averaged_rows_has_the_frequency_that_was_recorde
     assert folded(frequency, 50.0) == pytest.approx(min(abs(frequency - 50.0 * k) for k in range(3)))
 
 
+def test_no_line_is_sought_where_the_motion_takes_up_the_whole_band() -> None:
+    """Encoders that are all noise: there was no line to be found, and its alias at the rate of the averages was proposed."""
+    bench = Bench(5, rows=9000, rate=200.0)
+    bench.q += np.random.default_rng(2).normal(size=bench.q.shape)
+    scene = scene_of(bench.observations())
+    rows = Rows(tuple(scene.segments), 4)
+    aliases = Aliases(scene, rows, np.zeros(len(scene), dtype=bool))
+    assert lines(scene, rows.average(scene.residual), rows, aliases) == []
+
+
 @pytest.mark.inject
 @pytest.mark.parametrize("frequency", [18.3, 32.1])
 def test_a_hum_is_told_by_the_frequency_and_the_size_that_were_recorded(frequency: float) -> None:

@@ -8,6 +8,7 @@ from joblib import Parallel, delayed
 
 from galen_hw.diagnosis.detection import outliers
 from galen_hw.diagnosis.estimation.dataset import Bench
+from galen_hw.diagnosis.estimation.model import Model
 from galen_hw.diagnosis.estimation.signal_chain import OutputStage, output_of
 from galen_hw.diagnosis.lack_of_fit import structure_test
 from galen_hw.diagnosis.searching import searched
@@ -15,6 +16,7 @@ from galen_hw.diagnosis.selection.moves.clock_offset import far_off
 from galen_hw.diagnosis.selection.proposals import at_first_sight
 from galen_hw.diagnosis.settings import BUDGET
 from galen_hw.diagnosis.stats.deadline import Deadline
+from galen_hw.diagnosis.validation.slow_noise import without_noise
 from galen_hw.physics.effects.base import Effect
 from galen_hw.physics.effects.columns import Columns
 from galen_hw.physics.effects.events import Glitches
@@ -135,15 +137,28 @@ def first_look(bench: Bench, coarse: Bench, effects: list[Effect], columns: list
         coarse.learn_noise(late, [*extra, *shifts], above=above)
         ((_, model), *_), structures = searched(coarse, effects, columns, generic, blind=blind)
         coarse = model.bench
-    if not structures and len(coarse.noise.edges):
-        # Fine structure passes for quick noise: only held-out blocks can show it, whatever the noise.
-        coarse.noise = coarse.noise.flat()
-        residual = model.residual()
-        plain = structure_test.Fitted([h.raw for h in model.parts], residual, residual / coarse.noise.sigma)
-        (structures,) = structure_test.leftovers(coarse, generic, [plain])
+    model = without_noise(model)
+    if len(coarse.noise.edges):
+        if not structures:
+            # Fine structure passes for quick noise: only held-out blocks can show it, whatever the noise.
+            coarse.noise = coarse.noise.flat()
+            structures = _left(coarse, generic, model)
+        if structures:
+            # Slow noise passes for structure where the noise is too low: it has to be there beside all of the residual's noise.
+            coarse.learn_noise([], [h.raw for h in model.parts])
+            still = {one.channel for one in _left(coarse, generic, model)}
+            structures = [one for one in structures if one.channel in still]
     return Known(
         model.placed(), {x.channel: x.kind for x in reversed(structures)}, coarse.spacing, coarse.timing, coarse.stream
     )
+
+
+def _left(bench: Bench, generic: list[structure_test.Family], model: Model) -> list[structure_test.Structure]:
+    """Return the structure in a model's residual under the present noise of its bench, which may be another than the model's."""
+    residual = model.residual()
+    plain = structure_test.Fitted([h.raw for h in model.parts], residual, bench.whitened(residual))
+    (structures,) = structure_test.leftovers(bench, generic, [plain])
+    return structures
 
 
 def restarted(bench: Bench, known: Known, holdout: Scene | None) -> Scene | None:

@@ -34,6 +34,8 @@ def thinned(seen: Observations, most: int = CRITERIA.most_rows) -> tuple[Observa
     if lacking and seen.simulation is None and seen.predict != "position":
         return None
     rows = known_rows(seen, (*names, *driven))
+    if seen.simulation is not None:  # it may end before the recording
+        rows = rows[np.isfinite([seen.simulation[n][rows] for n in names if n in seen.simulation]).all(axis=0)]
     if len(rows) < CRITERIA.fewest_vectors:
         return None
     known, step = seen if len(rows) == len(seen) else seen.taken(rows), -(-len(rows) // most)

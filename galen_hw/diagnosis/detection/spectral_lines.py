@@ -62,6 +62,8 @@ def lines(
         (joint, scene.channels),
         *((ratio[:, c], (scene.channels[c],)) for c in range(ratio.shape[1])),
     ]:
+        if not score.any():  # the motion takes up the whole band
+            continue
         peak, mine = _peak(score), [scene.channels.index(name) for name in names]
         f, strongest = peak / (pad * dt), mine[int(np.argmax(ratio[round(peak), mine]))]
         candidates = [Vibration(tuple(names), aliases.recorded(f, strongest), wander) for wander in wanders]

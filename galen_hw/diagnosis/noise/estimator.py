@@ -37,10 +37,11 @@ def estimate(
     if not ordered or not long:
         sigma = np.minimum(sigma, _by_neighbours(residual, sigma, freedom, rows)) if static_poses else sigma
         return Noise(rows, np.empty(0), np.empty((0, C)), sigma, float(freedom.sum()), correlation, steps)
-    edges = _bands(max(run.stop - run.start for run in long))
+    lengths = [run.stop - run.start for run in long]
+    edges = _bands(sum(lengths), max(lengths))
     levels = np.stack([_levels(residual[:, c], basis[c], long, edges, above) for c in range(C)], axis=-1)
     if len(levels) < RESOLUTION.fewest:
-        levels = whitest(levels, sum(run.stop - run.start for run in long) * np.diff(edges))
+        levels = whitest(levels, sum(lengths) * np.diff(edges))
     noise = Noise(rows, edges, levels, sigma, float(freedom.sum()), correlation, steps)
     # The variance is the integral of the bands, so that sigma contains the slow part too, as far as it was measured.
     f = np.maximum((np.arange(4096) + 0.5) / 8192, np.sqrt(edges[0] * edges[1]))
@@ -63,17 +64,18 @@ def _by_neighbours(residual: Array, sigma: Array, freedom: Array, rows: Rows, *,
     return np.where(square < (1.0 - surely / np.sqrt(freedom)) * sigma**2, np.sqrt(square), sigma)
 
 
-def _bands(n: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
+def _bands(n: int, longest: int, *, lines: int = 18, per_decade: int = 6, slowest: float = 7.0) -> Array:
     """Return band limits in cycles a row: at least so many lines in a band, equal ratios where there are more.
 
     Args:
-        n: rows of a segment.
+        n: rows of all runs; longest: of one.
         lines: in a band; per_decade: bands.
-        slowest: cycles in a segment below which the spectrum is continued, not measured.
+        slowest: cycles in all runs below which the spectrum is continued, not measured.
     """
-    edges, ratio = [slowest / n], 10.0 ** (1.0 / per_decade)
+    # A Hann window lets the mean of a run into its first line, and no further.
+    edges, ratio = [max(slowest / n, 2.0 / longest)], 10.0 ** (1.0 / per_decade)
     while edges[-1] < 0.5:
-        edges.append(max(edges[-1] * ratio, edges[-1] + lines / n))
+        edges.append(max(edges[-1] * ratio, edges[-1] + max(lines / n, 1.0 / longest)))
     if len(edges) > 2 and 0.5 - edges[-2] < lines / n:
         edges.pop(-2)
     return np.array([*edges[:-1], 0.5])
@@ -102,7 +104,7 @@ def _levels(
             part = basis[run, start : start + 32] * window[:, None]
             taken += np.sum(np.abs(np.fft.rfft(part, axis=0)) ** 2, axis=1) / n
         free.append(np.clip(1.0 - taken, 0.0, 1.0))
-        place.append(np.where(f > 0, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
+        place.append(np.where(f * n > 1.5, np.searchsorted(edges, f, side="right") - 1, -1).clip(-1, len(edges) - 2))
     line, reachable, band = np.concatenate(lines), np.concatenate(free), np.concatenate(place)
     level = np.full(len(edges) - 1, np.nan)
     for b in range(len(level)):

@@ -9,6 +9,7 @@ slow end must not pass for noise. A correlation time above a thirtieth of the re
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.fft import dct
 from scipy.stats import chi2
 
 from galen_hw.diagnosis.settings import RESOLUTION
@@ -86,6 +87,42 @@ def walking(
     walk, walked, _ = _likeliest(level, weights, [np.stack([white, flicker**2], axis=-1)])
     like = _like_noise(_deviance(levels, walked[len(modes) :], weights[len(modes) :]), centres)
     return np.asarray(like & (forgets - walk > needed))
+
+
+def deviances(residual: Array, runs: "list[slice]", slowest: float) -> Array:
+    """Return the deviance (C,) of a residual (M, C) as noise: white, and where that pays with a memory or flicker noise too.
+
+    Minus twice the log likelihood of the lines of the cosine transform of every run (Whittle 1953), in bands as fine as the
+    corners that are tried, with the BIC penalty of the noise's own parameters; constants that all residuals share are left out.
+    The mean of a run counts where there are several: of one alone it is the offset.
+
+    Args:
+        slowest: cycles a row, of the slowest corner.
+    """
+    first = 0 if len(runs) > 1 else 1
+    cycles = [np.maximum(np.arange(run.stop - run.start), 0.5)[first:] / (2.0 * (run.stop - run.start)) for run in runs]
+    f = np.concatenate(cycles)
+    lines = np.concatenate([dct(residual[run], axis=0, norm="ortho")[first:] ** 2 for run in runs])
+    edges = np.geomspace(f.min(), 0.5, RESOLUTION.corners)
+    _, band = np.unique(np.searchsorted(edges, f, side="right"), return_inverse=True)
+    count = np.bincount(band).astype(float)
+    centres = np.exp(np.bincount(band, np.log(f)) / count)
+    levels = np.stack([np.bincount(band, line) / count for line in lines.T], axis=-1)
+    levels = np.maximum(levels, 1e-12 * levels.max(axis=0))
+    white, flicker = np.ones_like(centres), centres[0] / centres
+    bends = [1.0 / (1.0 + (centres / corner) ** 2) for corner in np.geomspace(slowest, 0.5, RESOLUTION.corners)]
+    models = {
+        1: [[white]],
+        2: [[white, flicker]],
+        3: [[white, bend] for bend in bends],
+        4: [[white, bend, flicker] for bend in bends],
+    }
+    # A line of a cosine transform is chi square of one, and counts half.
+    each = (
+        _likeliest(levels, 0.5 * count, [np.stack(one, axis=-1) for one in shapes])[0] + number * np.log(len(f))
+        for number, shapes in models.items()
+    )
+    return np.asarray(np.min(list(each), axis=0) + np.sum(count[:, None] * np.log(levels), axis=0))
 
 
 def whitest(levels: Array, lines: Array, *, chance: float = 0.01) -> Array:

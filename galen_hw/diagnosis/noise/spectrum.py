@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import dct, idct, next_fast_len
 
-from galen_hw.diagnosis.noise.low_frequency import plateaus, smoothed, walking
+from galen_hw.diagnosis.noise.low_frequency import deviances, plateaus, smoothed, walking
 from galen_hw.diagnosis.settings import RESOLUTION
 from galen_hw.diagnosis.stats.criteria import CRITERIA
 from galen_hw.diagnosis.stats.sampling import Mask, Rows
@@ -101,7 +101,7 @@ class Noise:
     @property
     def slowest(self) -> float:
         """Corner frequency of the longest correlation time that noise may have, cycles a row."""
-        return RESOLUTION.forgets / (2.0 * np.pi * max(self._lengths))
+        return RESOLUTION.forgets / (2.0 * np.pi * sum(self._lengths))
 
     @cached_property
     def _plateaus(self) -> Array:
@@ -114,6 +114,14 @@ class Noise:
             return np.zeros(len(self.sigma), dtype=bool)
         modes = dct(residual, axis=0, norm="ortho")[1 : 1 + waves] ** 2
         return walking(self.centres, self.levels, self.lines, modes, len(residual), self.slowest)
+
+    def deviance_as_noise(self, residual: Array) -> float:
+        """Return the deviance of a residual (M, C) as noise of its own kind, with a memory or without, whatever this noise is.
+
+        Over all runs that are long enough for a spectrum; there must be one.
+        """
+        long = [run for run in self.rows.runs if self._coloured(run)]
+        return float(np.sum(deviances(residual, long, self.slowest)))
 
     def whiten(self, x: Array, channel: int) -> Array:
         """Return columns (M, k) of one channel, filtered so that its noise becomes white with unit variance."""

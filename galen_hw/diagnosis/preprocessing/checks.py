@@ -60,10 +60,9 @@ def screened(scene: Scene, *, short: int = 100) -> Screening:
         raise UsageError(f"no column of the group {group!r} is there to compare", where="recording", todo="see predict")
     _drivable(scene)
     out = Screening(scene)
-    for step in (_measured, _with_tool, _in_time_order, _split_at_gaps, _with_inputs):
+    for step in (_measured, _with_tool, _in_time_order, _with_inputs):
         out.scene = step(out.scene, out.notes)
-    out.scene = _complete(out.scene, out.notes, out.wrong)
-    out.scene = quiet(out.scene)
+    out.scene = quiet(_split_at_gaps(_complete(out.scene, out.notes, out.wrong), out.notes))
     if out.scene.clock and len(out.scene) < short:
         out.notes.append(f"only {len(out.scene)} rows: too short to tell any but gross effects")
     out.notes += out.wrong
@@ -77,7 +76,7 @@ def held_out(scene: Scene, notes: list[str]) -> Scene:
         UsageError: as `screened`.
     """
     mine: list[str] = []
-    for step in (_with_tool, _in_time_order, _split_at_gaps, _with_inputs, _complete):
+    for step in (_with_tool, _in_time_order, _with_inputs, _complete, _split_at_gaps):
         scene = step(scene, mine)
     notes += [f"held-out recording: {line}" for line in mine]
     return quiet(scene)
@@ -172,7 +171,7 @@ def longest_rising(t: Array) -> Index:
 
 
 def _split_at_gaps(scene: Scene, notes: list[str], *, times: float = 5.0, least: float = 0.5) -> Scene:
-    """Begin a new segment after each gap of the clock.
+    """Begin a new segment after each gap of the clock, or of what was left out.
 
     Args:
         times: the median step; what is longer is a gap: what happened in it nobody knows.
