@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from galen_hw.errors import UsageError
 from galen_hw.formats.parquet import read as import_parquet
 from galen_hw.recording import Recording, RecordingInfo, read_recording, write_table
+from galen_hw.recording.observations import observations_of
 from galen_hw.recording.recording import group_of, joint_column
 from galen_hw.recording.to_mcap import write_mcap
 
@@ -309,6 +310,27 @@ def test_a_simulation_beside_the_recording_is_found_and_matched(tmp_path: Path) 
     back = read_recording(tmp_path / "c").simulation
     assert back is not None
     assert same(back, recording.simulation)
+
+
+def test_a_simulation_is_laid_beside_each_segment_by_its_own_clock(tmp_path: Path) -> None:
+    """Without segments a clock that was set back says of two rows that they are the same moment."""
+    t = np.tile(np.arange(40) / 10.0, 2)
+    x = np.arange(80.0)
+    rows = "".join(f"{a},{k // 40},{b}\n" for k, (a, b) in enumerate(zip(t, x, strict=True)))
+    folder = table(tmp_path / "a", "time,segment,joint.a.position\n" + rows, {"schema": 1, "predict": "position"})
+    every_other = "".join(f"{t[k]},{k // 40},{x[k]}\n" for k in range(0, 80, 2))
+    (folder / "simulation").mkdir()
+    (folder / "simulation" / "recording.csv").write_text("time,segment,joint.a.position\n" + every_other)
+    simulated = observations_of(read_recording(folder)).simulation
+    assert simulated is not None
+    known = np.arange(80) % 40 < 39
+    assert simulated["joint.a.position"][known] == pytest.approx(x[known])
+    assert np.isnan(simulated["joint.a.position"][~known]).all()
+    (folder / "simulation" / "recording.csv").write_text(
+        "time,joint.a.position\n" + "".join(f"{k / 10.0},{k}\n" for k in range(80))
+    )
+    with pytest.raises(UsageError, match="the clock of the recording is set back at row 41: no time tells"):
+        observations_of(read_recording(folder))
 
 
 def test_nothing_is_overwritten_or_left_half_written(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from galen_hw.errors import UsageError
 from galen_hw.kinematics import Robot, UrdfRobot
@@ -16,12 +17,15 @@ from galen_hw.recording.recording import group_of
 from galen_hw.recording.robot import IN_JOINTS, robot_of, zeroed_joints, zeroed_names
 from galen_hw.spatial import Array, rotation_from_quaternion
 
+Rows = NDArray[np.bool_] | slice
 Terms = Sequence[dict[str, Any]]
 """As in a tool's file: effect and parameters."""
 FIXED = 1e-3
 """Of a pose, in m and in parts of a turn's matrix: what moves less stands still."""
 LARGEST = float(np.finfo(float).max) ** 0.25
 """Of a number in a recording: products of two of them have a square."""
+SET_BACK = 0.05
+"""Share of rows that are earlier than one before them, from which a clock was set back, and rows are not just out of order."""
 ASKED = 200
 """Rows on which that is asked."""
 FEW = 6
@@ -113,14 +117,38 @@ def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
     same = len(ours) == len(theirs) and np.allclose(ours, theirs, rtol=0.0, atol=1e-9)
     if same:
         return dict(simulation.columns)
-    order = np.argsort(theirs, kind="stable")
+    runs = np.unique(recording.segment)
+    if not np.array_equal(runs, np.unique(simulation.segment)):
+        return _by_time(recording, simulation, slice(None), slice(None))
+    out = {name: np.full(len(recording), np.nan) for name in simulation.columns}
+    for run in runs:  # each may have a clock of its own
+        rows, its = recording.segment == run, simulation.segment == run
+        for name, values in _by_time(recording, simulation, rows, its).items():
+            out[name][rows] = values
+    return out
+
+
+def _by_time(recording: Recording, simulation: Recording, rows: Rows, its: Rows) -> dict[str, Array]:
+    """Return the simulation's columns of its rows `its`, at the times of the recording's `rows`; NaN outside."""
+    assert recording.time is not None
+    assert simulation.time is not None
+    ours, theirs = recording.time[rows], simulation.time[its]
+    for whose, clock in (("recording", ours), ("simulation", theirs)):
+        behind = clock < np.maximum.accumulate(clock)
+        if np.mean(behind) > SET_BACK:
+            raise UsageError(
+                f"the clock of the {whose} is set back at row {int(np.argmax(behind)) + 1}: no time tells what belongs together",
+                where=str(simulation.path),
+                todo="give both one clock that rises, or the same rows",
+            )
     if min(ours.max(), theirs.max()) <= max(ours.min(), theirs.min()):
         what = (
             f"the simulation does not overlap the recording in time: {theirs.min():.6g} to {theirs.max():.6g} s beside "
             f"{ours.min():.6g} to {ours.max():.6g} s"
         )
         raise UsageError(what, where=str(simulation.path), todo="give both the same clock")
-    return {k: np.interp(ours, theirs[order], v[order], np.nan, np.nan) for k, v in simulation.columns.items()}
+    order = np.argsort(theirs, kind="stable")
+    return {k: np.interp(ours, theirs[order], v[its][order], np.nan, np.nan) for k, v in simulation.columns.items()}
 
 
 def _belief(recording: Recording) -> Belief:
