@@ -331,6 +331,10 @@ def test_a_simulation_is_laid_beside_each_segment_by_its_own_clock(tmp_path: Pat
     )
     with pytest.raises(UsageError, match="the clock of the recording is set back at row 41: no time tells"):
         observations_of(read_recording(folder))
+    again = [f"{t[k % 20]},{k // 40},{x[k]}\n" if k >= 40 else f"{t[k]},0,{x[k]}\n" for k in range(80)]
+    (folder / "simulation" / "recording.csv").write_text("time,segment,joint.a.position\n" + "".join(again))
+    with pytest.raises(UsageError, match=r"simulation: the clock of the simulation is set back at row 61: "):
+        observations_of(read_recording(folder))
 
 
 def test_nothing_is_overwritten_or_left_half_written(tmp_path: Path) -> None:

@@ -128,19 +128,28 @@ def _matched(recording: Recording, simulation: Recording) -> dict[str, Array]:
     return out
 
 
+def _clock(whose: str, one: Recording, rows: Rows) -> Array:
+    """Return the times (n,), s, of some rows.
+
+    Raises:
+        UsageError: the clock was set back among them.
+    """
+    assert one.time is not None
+    time = one.time[rows]
+    behind = time < np.maximum.accumulate(time)
+    if np.mean(behind) > SET_BACK:
+        row = int(np.arange(len(one))[rows][np.argmax(behind)]) + 1
+        raise UsageError(
+            f"the clock of the {whose} is set back at row {row}: no time tells what belongs together",
+            where=str(one.path),
+            todo="give both one clock that rises, or the same rows",
+        )
+    return time
+
+
 def _by_time(recording: Recording, simulation: Recording, rows: Rows, its: Rows) -> dict[str, Array]:
     """Return the simulation's columns of its rows `its`, at the times of the recording's `rows`; NaN outside."""
-    assert recording.time is not None
-    assert simulation.time is not None
-    ours, theirs = recording.time[rows], simulation.time[its]
-    for whose, clock in (("recording", ours), ("simulation", theirs)):
-        behind = clock < np.maximum.accumulate(clock)
-        if np.mean(behind) > SET_BACK:
-            raise UsageError(
-                f"the clock of the {whose} is set back at row {int(np.argmax(behind)) + 1}: no time tells what belongs together",
-                where=str(simulation.path),
-                todo="give both one clock that rises, or the same rows",
-            )
+    ours, theirs = (_clock(*one) for one in (("recording", recording, rows), ("simulation", simulation, its)))
     if min(ours.max(), theirs.max()) <= max(ours.min(), theirs.min()):
         what = (
             f"the simulation does not overlap the recording in time: {theirs.min():.6g} to {theirs.max():.6g} s beside "
